@@ -63,7 +63,7 @@ def run(quick: bool = False) -> dict[str, Any]:
 
 
 def _by_reading(root: Path) -> list[str]:
-    """The same question put to every directory; only what it asks for is read."""
+    """Answer the same query by reading every run directory."""
     wanted = {f"ur5-{k:03d}" for k in range(5)}
     found = [
         (number_of(path), str(path))
@@ -85,7 +85,7 @@ def _after_a_change(root: Path, path: Path) -> None:
 
 
 def _seconds(work: Callable[[], Any]) -> tuple[float, Any]:
-    """The shortest of a few times, and what came of the last."""
+    """Return the shortest of several times, and the last result."""
     times = []
     for _ in range(REPEATS):
         began = time.process_time()
@@ -95,7 +95,7 @@ def _seconds(work: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def write_run(root: Path, number: int) -> Path:
-    """A run directory without a recording, last changed long ago."""
+    """Create a run directory without a recording, with an old modification time."""
     robot, day = f"ur5-{number % ROBOTS:03d}", f"2026-{1 + number // 200 % 12:02d}-11"
     path = root / day / robot / f"{number:04d}-fourier"
     for estimator, rmse in (("rigid-wls", 0.13), ("rigid-hysteresis", 0.05 + 0.01 * (number % 9))):

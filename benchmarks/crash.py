@@ -255,7 +255,7 @@ def _plain_writer(path: Path, **options: int) -> Callable[[StructArray, int], No
 
 
 def _papers() -> list[Attachment]:
-    """What a run of 650 poses carries along, in size and kind."""
+    """Return documents of the size and kind of a run of 650 poses."""
     draw = random.Random(0)
     poses = [{"q_rad": [draw.uniform(-3, 3) for _ in range(6)], "step": i} for i in range(1300)]
     spec = b"hil: 1\nname: ur5-dwell-650\n" * 40

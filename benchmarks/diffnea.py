@@ -73,7 +73,7 @@ def run(quick: bool = False) -> dict[str, Any]:
 
 
 def _observed(samples: int) -> tuple[Unknowns, FloatArray, FloatArray]:
-    """What is sought, weighted rows X (M, p) and targets y (M,) of a UR5 in Fourier motion."""
+    """Return true coefficients, weighted rows X (M, p) and targets y (M,) of a UR5 motion."""
     nominal, plant = (RobotModel.from_arm("ur5", rotor_inertia=r) for r in (None, ROTORS))
     q, qd, qdd = _motion(samples)
     base, form = base_parameters(nominal, rotor=True), FORMS["coulomb-viscous"]

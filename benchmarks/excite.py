@@ -105,7 +105,7 @@ def _problem(robot: RobotModel, box_deg: float, **more: Any) -> ExcitationProble
 
 
 def _surroundings(robot: RobotModel) -> dict[str, Any]:
-    """A table the arm stands on, 30 mm from it and from the arm itself, torques within limits."""
+    """Return the surroundings of an arm on a table: 30 mm clearance, torques within limits."""
     collision = CollisionModel(load_arm(ARM), Environment(table_z=0.0))
     return {
         "collision": collision,

@@ -69,7 +69,7 @@ def rows_of(plan: Plan) -> StructArray:
 
 
 def every_sample(bodies: CollisionModel, rows: StructArray) -> None:
-    """The peer: every quantity of every sample compared, all distances computed."""
+    """Check every quantity of every sample and compute all distances: the peer."""
     arm = bodies.arm
     most = 0.95 * arm.effort_max / arm.drive_gains
     for row in rows:

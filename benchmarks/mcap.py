@@ -96,7 +96,7 @@ def _write(path: Path, topic: Topic, rows: StructArray) -> None:
 
 
 def _write_one_by_one(path: Path, topic: Topic, rows: StructArray) -> None:
-    """The same with mcap's own writer, without the JointStates ours writes as well."""
+    """Write the same with the writer of mcap, without the additional JointState messages."""
     from mcap.writer import Writer
 
     with path.open("wb") as file:
@@ -122,7 +122,7 @@ def _iterate_and_view(path: Path, topic: Topic) -> StructArray:
 
 
 def _decode_all(path: Path, topic: Topic, count: int) -> StructArray:
-    """The usual way to read a ROS 2 recording into numpy."""
+    """Read a ROS 2 recording into numpy in the usual way."""
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 

@@ -141,7 +141,7 @@ def _peer(model: str, speed: str, seconds: float, rate_hz: float) -> dict[str, f
 
 @contextlib.contextmanager
 def _mock(model: str, speed: str) -> Iterator[tuple[str, int]]:
-    """A mock controller of its own: its address and process."""
+    """Start a mock controller; return its address and process."""
     pid = os.getpid()
     address = f"127.{1 + pid % 250}.{pid // 250 % 250}.{200 + next(_numbers)}"
     arguments = ["--address", address, "--model", model, "--speed", speed, "--side-port", "0"]

@@ -94,7 +94,7 @@ def run(quick: bool = False, seeds: Sequence[int] | None = None) -> dict[str, An
 
 
 def record(seed: int, folder: Path, poses: int | None = None) -> tuple[Dataset, Dataset]:
-    """The settled dwells of one robot, and of the same robot with perfect sensors.
+    """Return the settled dwells of one robot, and of the same robot with perfect sensors.
 
     Args:
         seed: Which robot.

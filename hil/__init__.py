@@ -4,8 +4,8 @@
 >>> experiment = hil.load("experiments/ci_dwell_12.yaml")   # doctest: +SKIP
 >>> report = hil.run(experiment)                            # doctest: +SKIP
 
-Importing this package touches no hardware library and no heavy one: the functions below are
-looked up in `hil.api` when they are first used.
+Importing this package loads no hardware library and no large library, because its functions are
+imported from `hil.api` at their first use.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
         rest_poses,
         resume,
         run,
+        simulate,
         study,
-        try_out,
     )
     from hil.planning import Experiment
     from hil.runs import find_runs
@@ -56,15 +56,17 @@ __all__ = [
     "rest_poses",
     "resume",
     "run",
+    "simulate",
     "study",
-    "try_out",
 ]
 
 
 def __getattr__(name: str) -> Any:
+    if name == "try_out":
+        raise AttributeError("hil.try_out is now hil.simulate")
     if name not in __all__:
         raise AttributeError(f"module 'hil' has no attribute {name!r}")
-    # import_module, not "from hil import api": that would ask this very function for `api`.
+    # "from hil import api" would call this function recursively, so import_module is used.
     from importlib import import_module
 
     return getattr(import_module("hil.api"), name)

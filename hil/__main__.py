@@ -1,4 +1,4 @@
-"""`python -m hil` is the same as `hil`."""
+"""Entry point of `python -m hil`, which is equivalent to `hil`."""
 
 from hil.cli import main
 

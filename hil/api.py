@@ -1,4 +1,4 @@
-"""The Python API: what the command line does with experiments, recordings and models.
+"""Python API: functions of the command line for experiments, recordings and models.
 
 >>> import hil
 >>> experiment = hil.load("spec.yaml", "station.yaml")    # doctest: +SKIP
@@ -6,8 +6,8 @@
 >>> report.verdict                                        # doctest: +SKIP
 'passed'
 
-Every function is in `hil` as well. `api.pyi` says which package implements it; it is imported when
-it is first used.
+Every function is also available in `hil`. `api.pyi` lists the package that implements each
+function; the package is imported at the first use of the function.
 """
 
 import lazy_loader

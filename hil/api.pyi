@@ -21,5 +21,5 @@ from .workflow import fit as fit
 from .workflow import plan as plan
 from .workflow import resume as resume
 from .workflow import run as run
+from .workflow import simulate as simulate
 from .workflow import study as study
-from .workflow import try_out as try_out

@@ -20,7 +20,7 @@ _TYPES = {
 
 
 def lay_out(pdo_map: Any, pdo: Pdo, cob_id: Callable[[int, int], int]) -> Any:
-    """The map of a node as our mapping has it, told to no drive."""
+    """Return the PDO map of a node as the driver computes it, without a drive."""
     pdo_map.clear()
     for entry in pdo.entries:
         pdo_map.add_variable(entry.index)
@@ -30,7 +30,7 @@ def lay_out(pdo_map: Any, pdo: Pdo, cob_id: Callable[[int, int], int]) -> Any:
 
 
 def dictionary() -> Any:
-    """What is mapped, and the records of the PDOs."""
+    """Return the mapped objects and the records of the PDOs."""
     told: Any = objectdictionary.ObjectDictionary()  # type: ignore[no-untyped-call]
     for pdo in POSITION.pdos:
         for entry in pdo.entries:

@@ -134,7 +134,7 @@ def _sleep_until(until_s: float) -> None:
 
 @contextmanager
 def _network(channel: str) -> Iterator[Any]:
-    """The master's; on `virtual` the drives are in this process, on a network of their own."""
+    """Open the network of the master; on `virtual`, the drives are in this process."""
     with ExitStack() as stack:
         interface = "virtual" if channel == "virtual" else "hil_unix"
         if interface == "virtual":

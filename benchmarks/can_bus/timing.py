@@ -54,7 +54,7 @@ class Stretch:
         self._cpu_s, self._wall_s = time.process_time(), time.monotonic()
 
     def figures(self) -> dict[str, float]:
-        """Times in µs, shares in percent; at the end, as it counts cycles from the first one."""
+        """Return times in µs and shares in percent; call it at the end of the measurement."""
         cpu_s, wall_s = time.process_time() - self._cpu_s, time.monotonic() - self._wall_s
         times = self._times
         cycles = max(times.cycles - self._cycles, 1)

@@ -9,7 +9,7 @@ from hil.dynamics import BaseParameters, RobotModel
 
 
 def pivoted_base(robot: RobotModel, seed: int = 0) -> BaseParameters:
-    """The base parameters whose columns a pivoted QR of random samples keeps."""
+    """Return the base parameters that a pivoted QR of random samples selects."""
     samples = np.random.default_rng(seed).uniform(-np.pi, np.pi, (3, 500, robot.n))
     W = robot.regressor(*samples, rotor=False)
     _, R, order = scipy.linalg.qr(W, mode="economic", pivoting=True)

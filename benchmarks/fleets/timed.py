@@ -44,7 +44,7 @@ class Clock:
 
 
 def timed(work: Callable[[], Fits], cluster: Sequence[Popen[bytes]] = ()) -> Took:
-    """What some work takes, on a cluster that is there before."""
+    """Measure the time of a task on a cluster that is already running."""
     clock = Clock(cluster)
     return clock.took(work(), cluster)
 
@@ -65,6 +65,6 @@ def _running_s(process: Popen[bytes]) -> float:
 
 
 def nothing() -> FitResult:
-    """A task that only imports what a fit needs."""
+    """Import what a fit needs, and do nothing else."""
     estimator("rigid-wls")
     return FitResult()

@@ -68,7 +68,7 @@ class Errors:
 
 
 def true_parts(truth: Truth, test: Dataset, current: FloatArray) -> Parts:
-    """What is true along judged motions.
+    """Return the true components along the evaluated motions.
 
     Args:
         truth: The robot.

@@ -24,7 +24,7 @@ COMPARED = ("WLS", "LMI, weighted", "DiffNEA", DEFAULT)
 
 
 def measure(*, quick: bool = False) -> Section:
-    """The load by several methods, with the gains identified and with those of the literature.
+    """Identify the payload by several methods, with identified and with published drive gains.
 
     Args:
         quick: One method, identified gains only.

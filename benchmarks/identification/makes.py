@@ -34,7 +34,7 @@ QUICK = ("WLS", "LMI, weighted")
 
 
 def measure(*, quick: bool = False) -> Section:
-    """The default against the classical methods on every robot.
+    """Compare the default with the classical methods on every robot.
 
     Args:
         quick: The UR10 alone, few methods.
@@ -76,7 +76,7 @@ def _robot(section: Section, key: str, compared: tuple[str, ...], *, turns: bool
 
 
 def _compare(section: Section, key: str, classical: list[str]) -> None:
-    """The default's mean over that of the best classical method, both ways of judging."""
+    """Return the mean error of the default divided by that of the best classical method."""
     for way in ("percent", "in turn percent"):
         ours = section.figures.get(slug(key, DEFAULT, way))
         others = [section.figures.get(slug(key, title, way)) for title in classical]

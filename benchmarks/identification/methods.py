@@ -68,7 +68,7 @@ def unavailable(title: str) -> str:
 
 
 def titles(wanted: Sequence[str] = tuple(METHODS)) -> tuple[list[str], dict[str, str]]:
-    """The methods that can take part, and why the others cannot."""
+    """Return the methods that can take part, and why the others cannot."""
     reasons = {title: unavailable(title) for title in wanted}
     return [title for title in wanted if not reasons[title]], {
         title: reason for title, reason in reasons.items() if reason
@@ -76,7 +76,7 @@ def titles(wanted: Sequence[str] = tuple(METHODS)) -> tuple[list[str], dict[str,
 
 
 def fitted(title: str, parts: Sequence[Dataset], robot: RobotModel, **changed: Any) -> Fitted:
-    """A method fitted to whole trajectories, with one BLAS thread.
+    """Fit a method to whole trajectories, with one BLAS thread.
 
     Raises:
         HilError: The data do not allow it.
@@ -116,10 +116,10 @@ def relative(found: Errors, dataset: Dataset) -> FloatArray:
 
 
 def with_gains(dataset: Dataset, gains: FloatArray, source: str) -> Dataset:
-    """The same samples with other drive gains."""
+    """Return the same samples with other drive gains."""
     return replace(dataset, drive_gains=gains, drive_gains_source=source)
 
 
 def reason(error: HilError) -> str:
-    """An error in one line."""
+    """Return an error in one line."""
     return str(error.message).splitlines()[0]

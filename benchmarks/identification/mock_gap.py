@@ -103,7 +103,7 @@ def contests(
 
 
 def observed(seed: int, arm: str, count: int) -> Trajectories:
-    """The filtered trajectories of one robot with all effects, the true current beside them."""
+    """Return the filtered trajectories of one robot with all effects, and the true current."""
     truth, series = draw_truth(arm, seed, "full"), trajectories(arm, count)
     simulation = Simulation(truth, Setting(RATE_HZ), series[0].q_start)
     simulation.settle()

@@ -100,7 +100,7 @@ def delay_s(simulation: Simulation) -> float:
 
 
 def advanced(data: Dataset, seconds: float) -> Dataset:
-    """The dataset with its effort brought forward to the state it belongs to."""
+    """Shift the effort of a dataset to the state it belongs to."""
     effort = np.empty_like(data["effort"])
     for _, rows in data.slices():
         t = data["t"][rows]
@@ -135,7 +135,7 @@ def _way(start: FloatArray, goal: FloatArray, rate: float) -> Line:
 def _follow(
     simulation: Simulation, motion: Motion
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """True position, speed, current and temperature, each (N, n)."""
+    """Return true position, velocity, current and temperature, each (N, n)."""
     points = motion.sample(simulation.setting.rate_hz)
     found = simulation.advance(np.stack([points.q, points.qd, points.qdd], axis=1))
     if found.fault:

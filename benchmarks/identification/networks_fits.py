@@ -18,7 +18,7 @@ JOBS = 2
 
 
 def tasks_of(chosen: Sequence[str], family: Callable[..., Any], *given: Any) -> list[Task]:
-    """A task per family of rows.
+    """Return one task per family of rows.
 
     Args:
         chosen: Keys of `ROWS`.

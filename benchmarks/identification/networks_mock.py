@@ -150,7 +150,7 @@ def drawn(seed: int, quick: bool = False) -> Robot:
 
 
 def family(root: str, keys: Sequence[str], of: Robot, effort: float) -> dict[str, Told]:
-    """A model, and what corrects it, fitted to one robot and judged."""
+    """Fit a model and its correction to one robot, and evaluate both."""
     case = of.case
     case.require_honest()
 

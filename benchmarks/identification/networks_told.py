@@ -33,7 +33,7 @@ def told_of_robots(contests: Sequence[Contest]) -> Section:
 
 
 def told_of_ur10e(scores: dict[str, list[Score]]) -> Section:
-    """The UR10e: mean and spread of every method over seeds, and what was kept."""
+    """Report mean and spread of every method over the seeds for the UR10e."""
     section = Section()
     count = max(len(found) for found in scores.values())
     n = len(next(iter(scores.values()))[0].raw)
@@ -110,7 +110,7 @@ def _goals(contests: Sequence[Contest], section: Section) -> Table:
 
 
 def _worst(ratios: Sequence[float]) -> float:
-    """The largest; infinite where a method that was wanted failed on any robot."""
+    """Return the largest value; infinite if a requested method failed on any robot."""
     return max(ratio if np.isfinite(ratio) else np.inf for ratio in ratios)
 
 

@@ -99,7 +99,7 @@ def scores(
 def family(
     root: str, keys: Sequence[str], learn: Dataset, judge: Dataset, seed: int, effort: float
 ) -> dict[str, Score]:
-    """A model, and what corrects it, fitted and judged."""
+    """Fit a model and its correction, and evaluate both."""
     fits = fitted_family(root, keys, partial(_new, seed=seed, effort=effort), learn,
                          load_model(ARM))  # fmt: skip
     return {

@@ -23,7 +23,7 @@ SHORTEST = 60
 def cut(
     dataset: Dataset, share: float = TRAIN_SHARE, gap_s: float = GAP_S
 ) -> tuple[Dataset, Dataset]:
-    """The first `share` of a recording's time and, after a gap, all the rest."""
+    """Split a recording: the first `share` of its time, and the rest after a gap."""
     t = dataset["t"]
     end = t[0] + share * (t[-1] - t[0])
     return _part(dataset, t <= end, "first"), _part(dataset, t >= end + gap_s, "rest")
@@ -55,7 +55,7 @@ def thinned(dataset: Dataset, rate_hz: float) -> Dataset:
 
 
 def joints_of(dataset: Dataset, joints: Sequence[int]) -> Dataset:
-    """The dataset of some of its joints."""
+    """Return the dataset of some joints."""
     chosen = list(joints)
     columns = {n: v if v.ndim == 1 else v[:, chosen] for n, v in dataset.columns.items()}
     gains = dataset.drive_gains
@@ -83,7 +83,7 @@ def _thinned(series: Dataset, rate_hz: float) -> Dataset:
 
 
 def _part(dataset: Dataset, rows: BoolArray, name: str) -> Dataset:
-    """Some rows, under names of their own; a series of which hardly any are left is gone."""
+    """Return some rows under other names, without series that keep hardly any rows."""
     part = rows_of(dataset, rows)
     part = part.take(np.flatnonzero(np.diff(part.offsets) >= SHORTEST))
     conditions = tuple(

@@ -53,37 +53,37 @@ def missing(robot: str) -> str:
 
 
 def ur10e_train() -> list[Dataset]:
-    """The four trajectories of the UR10e to fit on, in the authors' windows."""
+    """Load the four training trajectories of the UR10e, in the windows of the authors."""
     return [_ur10e(name) for name in UR10E_TRAIN]
 
 
 def ur10e_validation() -> Dataset:
-    """The whole of 14h50 without load: scored, never tuned on."""
+    """Load the whole trajectory 14h50 without payload: evaluated, never tuned on."""
     return _ur10e(UR10E_VALIDATION)
 
 
 def ur10e_loaded() -> Dataset:
-    """The same trajectory with 2.805 kg that the data do not declare."""
+    """Load the same trajectory with an undeclared payload of 2.805 kg."""
     return _ur10e(UR10E_LOADED)
 
 
 def ur10() -> tuple[Dataset, Dataset]:
-    """The UR10's run, torques by its authors' gains: to fit on, to judge on."""
+    """Load the run of the UR10, torques by the gains of its authors: to fit, to evaluate."""
     return cut(whole("ur10"))
 
 
 def panda() -> tuple[Dataset, Dataset]:
-    """The Panda's run, thinned out: to fit on, to judge on."""
+    """Load the down-sampled run of the Panda: to fit, to evaluate."""
     return cut(whole("panda"))
 
 
 def kr300() -> tuple[Dataset, Dataset]:
-    """The KR300's run, all six axes: to fit on, to judge on."""
+    """Load the run of the KR300, all six axes: to fit, to evaluate."""
     return cut(whole("kr300"))
 
 
 def tx40() -> tuple[Dataset, Dataset]:
-    """The TX40's run in its motors' coordinates, thinned out: to fit on, to judge on."""
+    """Load the down-sampled run of the TX40 in motor coordinates: to fit, to evaluate."""
     return cut(whole("tx40"))
 
 

@@ -27,7 +27,7 @@ class Table:
     notes: list[str] = field(default_factory=list)
 
     def add(self, *cells: str | Iterable[str]) -> None:
-        """A row; lists of cells are spread."""
+        """Add a row; lists of cells are spread."""
         spread: list[str] = []
         for cell in cells:
             spread += [cell] if isinstance(cell, str) else list(cell)
@@ -61,7 +61,7 @@ class Section:
 
 
 def slug(*words: str) -> str:
-    """A figure's name: `LMI, weighted` becomes `lmi_weighted`."""
+    """Return the name of a figure: `LMI, weighted` becomes `lmi_weighted`."""
     return "_".join(re.sub(r"[^a-z0-9]+", "_", word.lower()).strip("_") for word in words)
 
 

@@ -68,7 +68,7 @@ class Problem:
 
 
 def problem(terms: Terms) -> Problem:
-    """A smooth function of four joint angles, its noise, and start weights, by seed."""
+    """Return a smooth function of four joint angles, its noise, and start weights, by seed."""
     random = np.random.default_rng(terms.seed)
     q = random.uniform(-np.pi, np.pi, (terms.poses, LAYERS[0]))
     smooth = 0.08 * np.tanh(1.2 * np.sin(q[:, 0]) + 0.5 * np.cos(q[:, 1] + q[:, 2]))

@@ -16,7 +16,7 @@ from hil.networks.mlp import Mlp
 
 
 def pyrenn_module() -> Any:
-    """The module; its source draws warnings from today's Python."""
+    """Import the module without the warnings that its source causes in this Python."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import pyrenn
@@ -25,7 +25,7 @@ def pyrenn_module() -> Any:
 
 
 def as_pyrenn(rows: Problem) -> FloatArray:
-    """The start weights (P,) as pyrenn needs them to be the same function.
+    """Convert the start weights (P,) to the order of pyrenn.
 
     Its vector has our order. It divides inputs and targets that exceed 1 by their largest
     magnitude, where we standardise: its first and last layer take up the difference.
@@ -43,7 +43,7 @@ def as_pyrenn(rows: Problem) -> FloatArray:
 
 
 def target_norm(rows: Problem) -> float:
-    """What pyrenn divides the target by."""
+    """Return the factor by which pyrenn divides the target."""
     return max(float(np.abs(rows.y).max()), 1.0)
 
 

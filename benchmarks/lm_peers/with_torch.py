@@ -15,7 +15,7 @@ from hil.networks.mlp import Mlp
 
 
 def output_of() -> Callable[[Any, Any], Any]:
-    """The network as a function of its weights (P,) and inputs (4,) or (N, 4)."""
+    """Return the network as a function of its weights (P,) and inputs (4,) or (N, 4)."""
     import torch
 
     shapes = Mlp(LAYERS).shapes
@@ -41,7 +41,7 @@ def jacobian_of(output: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
 
 
 def warm_up() -> None:
-    """What torch does once in a process is no part of the training."""
+    """Warm torch up: its one-time initialisation is not part of the training."""
     import torch
 
     torch.set_num_threads(1)

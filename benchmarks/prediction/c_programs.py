@@ -46,7 +46,7 @@ int main(void)
 
 
 def timed_c(name: str, model: RobotEstimator, calls: int) -> dict[str, float]:
-    """Times by flags, and how far the program is off the model."""
+    """Measure times by compiler flags, and the deviation of the program from the model."""
     figures = {}
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / "c"
@@ -62,7 +62,7 @@ def timed_c(name: str, model: RobotEstimator, calls: int) -> dict[str, float]:
 
 
 def build_of(how: str) -> str:
-    """Flags and compiler, for people."""
+    """Return flags and compiler as text."""
     version = asked(("--version",), Path()).stdout.partition("\n")[0]
     return f"C, {' '.join(FLAGS[how])}, {version}"
 

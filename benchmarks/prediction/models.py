@@ -47,7 +47,7 @@ def models(quick: bool) -> dict[str, RobotEstimator]:
 
 
 def _talking(network: Any) -> RobotEstimator:
-    """The same with every joint's network kept and saying something, so that agreement tells."""
+    """Return the same model with nonzero networks for every joint, so that a comparison counts."""
     correction, random = network.correction_, np.random.default_rng(SEED)
     every = np.ones(len(correction.kept), dtype=bool)
     networks = tuple(_drawn(one, random) for one in correction.networks)

@@ -14,7 +14,7 @@ from hil.export.agreement import RATE_HZ, SAMPLES, motion
 
 
 def timed_pinocchio(robot: RobotModel, calls: int) -> dict[str, float]:
-    """Times of `pinocchio_rnea` and `pinocchio_through_hil`, and how far they are apart."""
+    """Measure `pinocchio_rnea` and `pinocchio_through_hil`, and their difference."""
     direct, through = _direct(robot), _through_hil(robot)
     rows = list(zip(*motion(robot, SAMPLES, RATE_HZ), strict=True))
     one, other = (np.array([step(*row) for row in rows]) for step in (direct, through))

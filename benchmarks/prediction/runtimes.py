@@ -31,7 +31,7 @@ TOO_SLOW = "it takes long to write or to compile; left out of --quick"
 def timed_runtimes(
     name: str, model: RobotEstimator, calls: int, quick: bool
 ) -> tuple[dict[str, float], dict[str, str]]:
-    """Times and differences from the model by runtime, and which were left out and why."""
+    """Measure times and deviations by runtime; list the skipped runtimes with reasons."""
     import torch
 
     from hil.export.torch_modules import module_of

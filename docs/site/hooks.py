@@ -92,7 +92,7 @@ def site_uri(uri: str, target: str) -> str:
 
 
 def shown(source: Path) -> str:
-    """A file of the repository as a page; of a folder, its files."""
+    """Return a file of the repository as a page, or the files of a folder."""
     if source.is_dir():
         named = (path.name for path in sorted(source.iterdir()) if path.name != "__pycache__")
         lines = [f"- [{name}]({source.name}/{name})" for name in named]

@@ -1,9 +1,10 @@
-"""What a driver knows of its arm, and what it refuses to do with it.
+"""Capabilities and limits of an arm, and the checks of commands against them.
 
-Two sources are combined: the description of the arm, which holds its maker's numbers and is known
-before anything is connected, and the limits that the controller reports once it is connected
-(`ReportedLimits`). Of two limits the stricter one applies. `require_executable` and
-`require_liftable` hold commands against the result before anything moves.
+The limits of an arm come from two sources: the description of the arm, which contains the
+manufacturer's values and is known before the controller is connected, and the limits that the
+controller reports after connecting (`ReportedLimits`). If both sources contain a limit, the
+stricter limit applies. `require_executable` and `require_liftable` check a command against the
+combined limits before the arm moves.
 """
 
 from __future__ import annotations
@@ -37,15 +38,17 @@ def capabilities_of(
     drive_gains: Sequence[float] | None = None,
     drive_gains_source: str | None = None,
 ) -> Capabilities:
-    """Return names, rate and the meaning of `effort`, in wall time.
+    """Return the capabilities of an arm: joint names, rate and quantity of `effort`, in wall time.
 
     Args:
-        model: Built-in arm.
-        rate_hz: Samples and set-points per second [Hz]; the arm's own when None.
-        effort: What the controller reports: torque at the joint [N·m] or motor current [A].
-        drive_gains: Torque per current at the joint [N·m/A]; the arm's own when None. They are
-            left out where the controller reports torques.
-        drive_gains_source: Where they come from; the source of the arm's own when None.
+        model: Name of an arm model that comes with hil.
+        rate_hz: Rate of samples and set-points [Hz]; None for the value of the arm's description.
+        effort: Quantity that the controller reports: torque at the joint [N·m] or motor current
+            [A].
+        drive_gains: Drive gains at the joints [N·m/A]; None for the values of the arm's
+            description. If the controller reports torques, the capabilities contain no drive gains.
+        drive_gains_source: Text that names the source of the drive gains; None for the source in
+            the arm's description.
     """
     arm, current = load_arm(model), effort == "current"
     gains = arm.drive_gains.tolist() if drive_gains is None else drive_gains
@@ -63,14 +66,18 @@ def capabilities_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportedLimits:
-    """The limits that a controller reports of itself; None, or NaN per joint, where it has none.
+    """Limits of an arm as reported by its controller.
+
+    A limit that the controller does not report is None, or NaN for single joints.
+
 
     Attributes:
-        q_min, q_max: (n,) joint positions [rad].
-        qd_max: (n,) joint speeds [rad/s].
-        qdd_max: (n,) joint accelerations [rad/s²].
-        effort_max: (n,) joint torques [N·m].
-        payload_max_kg: Mass of the load [kg].
+        q_min: (n,) lower joint position limits [rad].
+        q_max: (n,) upper joint position limits [rad].
+        qd_max: (n,) maximum joint speeds [rad/s].
+        qdd_max: (n,) maximum joint accelerations [rad/s²].
+        effort_max: (n,) maximum joint torques [N·m].
+        payload_max_kg: Maximum payload mass [kg].
     """
 
     q_min: FloatArray | None = None
@@ -81,15 +88,15 @@ class ReportedLimits:
     payload_max_kg: float | None = None
 
     def narrow(self, limits: Limits) -> Limits:
-        """Return the stricter of both, joint by joint."""
+        """Return for each joint the stricter of the reported limit and the passed limit."""
         stricter = {}
         for name, reported in self._reported():
-            choose = np.fmax if name == "q_min" else np.fmin  # these pass over NaN
+            choose = np.fmax if name == "q_min" else np.fmin  # both ignore NaN
             stricter[name] = choose(getattr(limits, name), reported)
         return replace(limits, **stricter)
 
     def exceeded_by(self, limits: Limits) -> BoolArray:
-        """Return for each joint whether one of its limits is wider than the reported one."""
+        """Return for each joint whether a passed limit is wider than the reported limit."""
         narrowed = self.narrow(limits)
         wider = [getattr(limits, name) != getattr(narrowed, name) for name, _ in self._reported()]
         return np.asarray(np.any(np.broadcast_arrays(*wider), axis=0))
@@ -102,12 +109,14 @@ class ReportedLimits:
 def limits_of(
     model: str, reported: ReportedLimits | None = None, speed_share: float = 1.0
 ) -> Limits:
-    """Return the limits that commands are held against.
+    """Return the limits against which commands are checked.
 
     Args:
-        model: Built-in arm.
-        reported: By the controller, once it is connected; the stricter of both applies.
-        speed_share: Share of the resulting joint speeds that the station lets be used.
+        model: Name of an arm model that comes with hil.
+        reported: Limits reported by the connected controller, which apply if they are stricter than
+            the limits of the description; None for the description only.
+        speed_share: Share of the maximum joint speeds that the station permits; 1.0 for the full
+            speeds.
     """
     arm = load_arm(model)
     limits = Limits(
@@ -126,13 +135,13 @@ def limits_of(
 def payload_finding(
     declared: Payload | None, read_back: Payload, hint: str, remark: str = ""
 ) -> Finding:
-    """Return whether the controller computes with the load that was declared to it.
+    """Return whether the controller uses the declared payload.
 
     Args:
-        declared: None where no load was declared since the robot was connected.
-        read_back: The load that the controller reports.
-        hint: Remedy if they differ.
-        remark: Added to the message.
+        declared: Declared payload; None if no payload was declared since the robot was connected.
+        read_back: Payload that the controller reports.
+        hint: Remedy in the finding if the declared and the reported payload differ.
+        remark: Text that is appended to the message of the finding.
     """
     message = f"payload {read_back} read back"
     if declared is not None:
@@ -154,34 +163,36 @@ def require_executable(
     *,
     at_set_point_rad: float = AT_SET_POINT_RAD,
 ) -> None:
-    """Raise if the arm cannot execute a segment, or would do it with a jump.
+    """Raise if the arm cannot execute a segment without exceeding limits or jumping.
 
     Args:
-        segment: The next one.
-        limits: Of the arm with n joints.
-        standing: (n,) the set-point it holds [rad].
-        at_set_point_rad: How far from there the segment may begin [rad].
+        segment: Next segment.
+        limits: Position, speed, acceleration and torque limits of the n joints.
+        standing: (n,) joint positions that the arm holds before the segment [rad].
+        at_set_point_rad: Largest permitted distance between the held set-point and the segment's
+            start [rad].
 
     Raises:
-        CommandRefused: It leaves the limits, begins elsewhere or moves at its ends.
+        CommandRefused: The segment leaves the limits, does not begin at the held set-point, or has
+            a speed other than 0 at its first or last sample.
     """
     where = f"segment {segment.index} ({segment.kind})"
     n, q = len(limits.q_min), segment.q
     shapes = {np.shape(array) for array in (q, segment.qd, segment.qdd)}
     if shapes != {(len(q), n)} or not len(q):
-        raise refused(f"{where} is for {q.shape[-1]} joints, the arm has {n}")
+        raise refused(f"{where} has {q.shape[-1]} joints, the arm has {n}")
     numbers = (q, segment.qd, segment.qdd, (segment.speed, segment.acceleration))
     if not all(np.isfinite(array).all() for array in numbers):
-        raise refused(f"{where} holds numbers that are none")
+        raise refused(f"{where} contains values that are not finite numbers")
     if (q < limits.q_min - SLACK_RAD).any() or (q > limits.q_max + SLACK_RAD).any():
         raise refused(f"{where} leaves the arm's joint range")
     _require_joints_within(where, "rad/s", segment.qd, limits.qd_max)
     _require_joints_within(where, "rad/s²", segment.qdd, limits.qdd_max)
     off = float(np.abs(q[0] - standing).max())
     if off > at_set_point_rad:
-        raise refused(f"{where} begins {off:.4f} rad from where the arm stands")
+        raise refused(f"{where} begins {off:.4f} rad from the present position of the arm")
     if segment.kind != "hold" and np.abs(segment.qd[[0, -1]]).max() > REST_RAD_S:
-        raise refused(f"{where} does not begin and end at rest")
+        raise refused(f"{where} does not begin and end at standstill")
 
 
 def _require_joints_within(where: str, unit: str, values: FloatArray, most: FloatArray) -> None:
@@ -189,42 +200,43 @@ def _require_joints_within(where: str, unit: str, values: FloatArray, most: Floa
     if (highest > most * SPEED_SLACK).any():
         joint = int((highest - most).argmax())
         raise refused(
-            f"{where} moves joint {joint + 1} at {highest[joint]:.3f} {unit}, {most[joint]:.3f} "
-            "are allowed"
+            f"{where} moves joint {joint + 1} with {highest[joint]:.3f} {unit}; the limit is "
+            f"{most[joint]:.3f} {unit}"
         )
 
 
 def require_liftable(payload: Payload, limits: Limits) -> None:
-    """Raise if a load is too heavy for the arm.
+    """Raise if the mass of a payload exceeds the maximum payload of the arm.
 
     Raises:
-        CommandRefused: It is.
+        CommandRefused: The payload is heavier than the arm permits.
     """
     if payload.mass > limits.payload_max_kg:
         raise CommandRefused(
-            f"a load of {payload.mass:g} kg is too heavy: the arm carries "
+            f"a payload of {payload.mass:g} kg is too heavy: the arm carries at most "
             f"{limits.payload_max_kg:g} kg",
-            hint="mount a lighter one",
+            hint="mount a lighter payload",
         )
 
 
 def refused(why: str) -> CommandRefused:
-    """Return the error for a segment that cannot be executed."""
-    return CommandRefused(why, hint="plan again for this arm, from where it stands")
+    """Return the error that reports a segment that the arm cannot execute."""
+    return CommandRefused(why, hint="plan again for this arm, from its present position")
 
 
 def nothing_prepared() -> CommandRefused:
-    """Return the error for `start` without a prepared segment."""
+    """Return the error for a call of `start` before a segment is prepared."""
     return CommandRefused("no segment is prepared", hint="call prepare() first")
 
 
 def not_connected(name: str) -> RobotConnectionError:
-    """Return the error for a robot that was not connected, or was closed."""
+    """Return the error for a command to a robot that is not connected, or was closed."""
     return RobotConnectionError(f"{name} is not connected", hint="call connect() first")
 
 
 def faulty(name: str) -> RobotFault:
-    """Return the error for commands after a fault."""
+    """Return the error for a command that follows a fault of the robot."""
     return RobotFault(
-        f"{name} does not obey since a fault", hint="remove its cause, then connect()"
+        f"{name} accepts no commands since a fault",
+        hint="remove the cause of the fault, then call connect()",
     )

@@ -1,11 +1,11 @@
-"""Where a controller is: its address in a station file, its name, its ports.
+"""Functions for the network address of a controller: normalization, name resolution, waiting.
 
-Stations write an address as a person types it; `host_of` brings it into one form, so that two
-stations that mean one controller say the same. A name is resolved once, when the controller is
-connected to (`ip_address_of`), with a limit on the time: later stops must not wait for a name
-server. A mock that is still starting on this computer is waited for (`once_listening`). A
-controller across a network that refuses a connection is off or has the interface disabled: there
-waiting is in vain.
+`host_of` normalizes the address in a station file, so that two stations with the same controller
+have equal addresses. A host name is resolved only when the controller is connected
+(`ip_address_of`), with a time limit, because later stops must not wait for a name server.
+`once_listening` waits for a mock that is still starting on this computer. `once_listening` does not
+wait for a controller across a network: if such a controller refuses a connection, the controller is
+off or the interface is disabled.
 """
 
 from __future__ import annotations
@@ -22,11 +22,13 @@ from hil.core import RobotConnectionError
 from hil.robot import is_loopback
 
 NAME_SERVER_S = 5.0
-"""How long a name server may take [s]."""
+"""Longest wait for the answer of a name server [s]."""
 
 STARTING_S = 10.0
-"""How long a refused loopback connection is tried again: a busy machine takes 6 s to start the
-mock [s]."""
+"""Time for which a connection is retried that this computer refuses [s].
+
+On a busy computer the mock needs 6 s to start.
+"""
 
 AGAIN_S = 0.1
 
@@ -36,20 +38,20 @@ T = TypeVar("T")
 
 
 def host_of(text: str) -> str | None:
-    """Return an IP address or host name in the one form it is compared in; None if it is neither.
+    """Return an IP address or host name in normalized form; None for any other text.
 
     Args:
-        text: Without a port.
+        text: IP address or host name, without a port.
     """
     text = text.strip().lower()
     if is_ip(text):
         return str(ipaddress.ip_address(text))
-    numeric = re.fullmatch(r"[0-9.]+", text)  # a misspelt IP address is no host name
+    numeric = re.fullmatch(r"[0-9.]+", text)  # a misspelled IP address is not a host name
     return text if _HOST_NAME.fullmatch(text) and not numeric else None
 
 
 def is_ip(text: str) -> bool:
-    """Return whether this is an IP address rather than a host name."""
+    """Return whether a text is an IP address and not a host name."""
     try:
         ipaddress.ip_address(text)
     except ValueError:
@@ -58,11 +60,11 @@ def is_ip(text: str) -> bool:
 
 
 def ip_address_of(host: str, within_s: float = NAME_SERVER_S) -> str:
-    """Return the IP address of a controller; no name server is asked for one written as such.
+    """Return the IP address of a controller, for a host name from the name server.
 
     Args:
         host: IP address or host name.
-        within_s: Wall time this may take.
+        within_s: Maximum wall time for the resolution [s].
 
     Raises:
         RobotConnectionError: The name is unknown, or no name server has answered in time.
@@ -73,13 +75,13 @@ def ip_address_of(host: str, within_s: float = NAME_SERVER_S) -> str:
 
     def ask() -> None:
         try:
-            # UR controllers and `ur-rtde` speak IPv4.
+            # UR controllers and `ur-rtde` use IPv4.
             found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)
             answers.append(str(found[0][4][0]))
         except OSError as error:
             answers.append(error)
 
-    # A name server that hangs holds this thread only.
+    # A separate thread, because a request to a name server can block.
     asking = threading.Thread(target=ask, name=f"find {host}", daemon=True)
     asking.start()
     asking.join(within_s)
@@ -88,30 +90,30 @@ def ip_address_of(host: str, within_s: float = NAME_SERVER_S) -> str:
         return answer
     why = (answer.strerror or answer) if isinstance(answer, OSError) else answer
     raise RobotConnectionError(
-        f"the controller's host name {host!r} leads to no address: {why}",
-        hint=f"mend the name in the station file (`ping {host}` shows whether it is one), or "
-        "give the IP address there that the controller's network settings show",
+        f"the controller's host name {host!r} cannot be resolved: {why}",
+        hint=f"correct the name in the station file (`ping {host}` shows whether it exists), or "
+        "enter the IP address that the controller's network settings show",
     )
 
 
 def once_listening(host: str, connect: Callable[[], T], within_s: float | None = None) -> T:
-    """Return what `connect` returns, tried again while a port of this computer refuses it.
+    """Call `connect` and return its result; retry while this computer refuses the connection.
 
     Args:
         host: IP address of the controller.
-        connect: Raises `RobotConnectionError` because of a `ConnectionRefusedError`.
-        within_s: Wall time this may take, by default `STARTING_S`.
+        connect: Function that raises `RobotConnectionError` because of a `ConnectionRefusedError`.
+        within_s: Maximum wall time [s]; `STARTING_S` by default.
 
     Raises:
-        RobotConnectionError: The last one that `connect` has raised; at once where waiting is in
-            vain.
+        RobotConnectionError: The last call of `connect` failed; raised without retries if the
+            controller is not on this computer.
     """
     until = time.monotonic() + (STARTING_S if within_s is None else within_s)
     while True:
         try:
             return connect()
         except RobotConnectionError as error:
-            # On a loopback address the likely reason is `hil mock … &` a moment ago.
+            # On a loopback address, `hil mock … &` is probably still starting.
             refused = isinstance(error.__cause__, ConnectionRefusedError)
             here = refused and ipaddress.ip_address(host).is_loopback
             if not here or time.monotonic() >= until:
@@ -120,25 +122,26 @@ def once_listening(host: str, connect: Callable[[], T], within_s: float | None =
 
 
 def peer_of(host: str, port: int, within_s: float) -> str:
-    """Return the IP address that accepts a connection at a TCP port, which is closed again.
+    """Return the IP address of a host that accepts a TCP connection, which is closed again.
 
     Raises:
-        OSError: None does in time.
+        OSError: No address of the host accepted a connection in time.
     """
     with socket.create_connection((host, port), within_s) as line:
         return str(line.getpeername()[0])
 
 
 def reason(error: OSError) -> str:
-    """Return why a connection failed, never empty."""
+    """Return a text, never empty, that describes why a connection failed."""
     return error.strerror or str(error) or type(error).__name__
 
 
 def mock_first(host: str, mock: str) -> str:
-    """Return the beginning of a hint where nothing answers: on loopback a mock is missing.
+    """Return the first part of a hint for a missing answer, for this computer about the mock.
 
     Args:
-        host: Address or name, as the station has it.
+        host: IP address or host name in the station file.
         mock: Name of the mock robot, such as `ur`.
     """
-    return f"start it first: hil mock {mock}; if a port is forwarded, " if is_loopback(host) else ""
+    start = f"start the mock first: hil mock {mock}; if a port is forwarded, "
+    return start if is_loopback(host) else ""

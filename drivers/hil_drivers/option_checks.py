@@ -1,4 +1,4 @@
-"""Checks of single options of a driver; errors have a hint with right values."""
+"""Checks of single options of a driver; the hint of each error contains the valid values."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ Range = tuple[float, float]
 
 
 class OptionChecks:
-    """Checks for one driver.
+    """Collection of option checks for one driver.
 
     Args:
-        driver: Its name, for messages.
+        driver: Name of the driver, used in error messages.
     """
 
     def __init__(self, driver: str) -> None:
         self._driver = driver
 
     def wrong_option(self, name: str, value: object, hint: str) -> SpecError:
-        """Return the error for a wrong option, with a hint."""
+        """Return the error that reports an invalid value of an option, with a hint."""
         return SpecError(f"{self._driver} option {name} is {value!r}", hint=hint)
 
     def lacking(self, name: str, hint: str) -> SpecError:
-        """Return the error for a missing option."""
-        return SpecError(f"the driver {self._driver} lacks its option {name}", hint=hint)
+        """Return the error that reports a missing option."""
+        return SpecError(f"the driver {self._driver} needs the option {name}", hint=hint)
 
     def require_known(self, given: Iterable[str], known: Sequence[str], where: str = "") -> None:
-        """Raise if there are unknown keys.
+        """Raise if a mapping in the station file contains unknown keys.
 
         Args:
-            given: Keys as typed.
-            known: All keys that the driver has.
-            where: Option that they belong to, such as `bus`; empty at the top.
+            given: Keys in the station file.
+            known: Valid keys of the driver.
+            where: Option that contains the keys, such as `bus`; empty for the options themselves.
         """
         unknown = sorted(str(name) for name in given if name not in known)
         if not unknown:
@@ -51,7 +51,7 @@ class OptionChecks:
         )
 
     def number(self, name: str, value: Any, between: Range, *, whole: bool = False) -> float:
-        """Return a number, if it is in a range; the ends belong to it."""
+        """Return a number, after checking that the number is within an inclusive range."""
         least, most = between
         right = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
         if not right or not math.isfinite(value) or not least <= value <= most:
@@ -60,7 +60,7 @@ class OptionChecks:
         return value if whole else float(value)
 
     def choice(self, name: str, value: Any, among: Collection[Any]) -> Any:
-        """Return one of a few values."""
+        """Return a value, after checking that the value is one of the valid values."""
         if isinstance(value, bool) or value not in among:
             like = closest(value, among) if isinstance(value, str) else None
             guess = f"did you mean {like!r}? " if like else ""
@@ -70,26 +70,28 @@ class OptionChecks:
         return value
 
     def truth(self, name: str, value: Any) -> bool:
-        """Return a boolean."""
+        """Return a value, after checking that the value is a boolean."""
         if not isinstance(value, bool):
             raise self.wrong_option(name, value, "use true or false")
         return value
 
     def text(self, name: str, value: Any) -> str:
-        """Return a text, if it is not empty."""
+        """Return a text without surrounding spaces, after checking that the text is not empty."""
         if not isinstance(value, str) or not value.strip():
-            raise self.wrong_option(name, value, "give some text")
+            raise self.wrong_option(name, value, "use a non-empty text")
         return value.strip()
 
     def file(self, name: str, value: Any) -> str:
-        """Return the absolute path of a file, if it exists."""
+        """Return the absolute path of a file, after checking that the file exists."""
         path = Path(self.text(name, value)).expanduser()
         if not path.is_file():
-            raise self.wrong_option(name, value, f"there is no such file in {Path.cwd()}")
+            raise self.wrong_option(
+                name, value, f"the file does not exist (relative to {Path.cwd()})"
+            )
         return str(path.resolve())
 
     def per_axis(self, name: str, value: Any, n: int) -> Sequence[Any]:
-        """Return a value per axis: one for all, or a list of n."""
+        """Return n values, one per axis, from one common value or from a list of n values."""
         if not isinstance(value, list | tuple):
             return [value] * n
         if len(value) != n:
@@ -97,7 +99,7 @@ class OptionChecks:
         return value
 
     def mapping_of(self, name: str, value: Any) -> Mapping[str, Any]:
-        """Return a mapping."""
+        """Return a value, after checking that the value is a mapping."""
         if not isinstance(value, Mapping):
             raise self.wrong_option(name, value, "give keys and values, as in {key: value}")
         return value

@@ -45,7 +45,7 @@ class Arm:
 
 
 def program(name: str, spec: Path, station: Path) -> hil.Experiment:
-    """What one arm is to do; the spec's robot is replaced."""
+    """Return the experiment of one arm: the spec with another robot."""
     found = hil.load(spec, station, overrides={"robot": json.dumps(name)})
     fits = found.spec.fit
     if len(fits) != 1 or not all(tells_errors(one.estimator, one.parameters) for one in fits):

@@ -31,7 +31,7 @@ def contradictions(
     intervals: list[tuple[float, float]],
     tolerances: list[float],
 ) -> list[str]:
-    """What lies further from its declaration than tolerance and 95 % interval allow.
+    """Return the quantities that differ from their declaration by more than the limits.
 
     What does not show has an interval of NaN, and contradicts nothing.
     """

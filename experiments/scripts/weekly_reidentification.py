@@ -25,7 +25,7 @@ LOOK = 10
 
 
 def letter(told: dict[str, Any]) -> list[str]:
-    """The lines of a mail; the first is its subject."""
+    """Return the lines of a mail; the first is its subject."""
     lines = [f"{told['name']}: {told['text']}"]
     if told["outcome"] == "quiet":
         return lines

@@ -1,8 +1,9 @@
-"""Published facts about built-in arms: neutral data that identification and mock may both read.
+"""Published data of built-in arms, used for identification and by the mock.
 
-Kinematics, limits, nominal masses and collision capsules come from the makers and carry their
-source in the YAML beside this file. Nothing here says what a *particular* robot is like: truth
-lives in the mock, estimates live in models.
+Kinematics, joint limits, nominal masses and collision capsules of the arms come from the
+manufacturers. The YAML files in this folder state the source of each value. No value describes an
+individual robot: the mock contains separate true parameters, and fitted models contain estimated
+parameters.
 """
 
 import lazy_loader

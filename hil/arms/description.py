@@ -1,8 +1,9 @@
-"""Descriptions of arms, and whether the file of a custom arm still says what it said.
+"""Descriptions of arms, and detection of changes in the description file of a custom arm.
 
-A built-in arm is described in `hil/arms/<name>.yaml`, a custom arm in a file of the same form or in
-a URDF. Runs and models store a digest of a custom arm's file (`model_sha256`), so that they are not
-used with another arm later (`require_same_arm`).
+A built-in arm is described in `hil/arms/<name>.yaml`. A custom arm is described in a YAML file of
+the same form as a built-in arm, or in a URDF. Runs and models store a digest of the file of a
+custom arm (`model_sha256`). `require_same_arm` checks this digest, so that a run or model is not
+used with a different arm.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from hil.core import DataError, FloatArray, SpecError
 
 @dataclass(frozen=True, slots=True)
 class Capsule:
-    """A collision body: all points within `radius` of the segment from `a` to `b`.
+    """Collision body: all points within `radius` of the segment from `a` to `b`.
 
     Attributes:
-        link: 0 for the fixed base, 1…n for the links in their DH frames.
+        link: Index of the link: 0 for the fixed base, 1…n for the links in their DH frames.
         a, b: Ends of the axis in the link's frame [m].
-        radius: [m].
+        radius: Radius of the capsule [m].
     """
 
     link: int
@@ -40,34 +41,37 @@ class Capsule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmDescription:
-    """An arm as its maker publishes it, in SI units and standard (distal) DH convention.
+    """Published data of an arm, in SI units and standard (distal) DH convention.
 
-    `load_arm` returns the same object to all callers, so its arrays are read-only.
+    `load_arm` returns the same object to all callers; the arrays of the object are therefore
+    read-only.
 
     Attributes:
-        name: Key of the arm, e.g. `ur5`, or the path of its description.
-        joint_names: Length n.
-        dh: (n, 4) rows of a [m], alpha [rad], d [m], theta offset [rad].
-        q_min, q_max: Position limits [rad], (n,).
-        qd_max, qdd_max: Velocity [rad/s] and acceleration [rad/s²] limits, (n,).
-        effort_max: Joint torque limits [N·m], (n,).
-        excite_min, excite_max: The range excitation uses unless a spec says otherwise [rad], (n,).
+        name: Key of a built-in arm, e.g. `ur5`, or the path of the description of a custom arm.
+        joint_names: Names of the n joints.
+        dh: (n, 4) DH parameters, in rows of a [m], alpha [rad], d [m], theta offset [rad].
+        q_min, q_max: (n,) lower and upper position limits [rad].
+        qd_max, qdd_max: (n,) velocity limits [rad/s] and acceleration limits [rad/s²].
+        effort_max: (n,) joint torque limits [N·m].
+        excite_min, excite_max: (n,) default position range of the excitation [rad].
         mass: (n,) nominal link masses [kg].
-        com: (n, 3) nominal centres of mass in the link's DH frame [m].
-        inertia: (n, 3, 3) nominal inertia about the centre of mass, DH axes [kg·m²].
+        com: (n, 3) nominal centres of mass, each in the DH frame of its link [m].
+        inertia: (n, 3, 3) nominal inertia of each link about its centre of mass, in DH axes
+            [kg·m²].
         gear_ratio: (n,) motor revolutions per joint revolution.
-        drive_gains: (n,) torque per motor current at the joint [N·m/A].
+        drive_gains: (n,) joint torque per motor current [N·m/A].
         rate_hz: State and command rate of the controller [Hz].
         payload_max_kg: Rated payload [kg].
-        capsules: Collision bodies, base and links.
-        sources: Where each number comes from, by topic.
+        capsules: Collision bodies of the base and the links.
+        sources: Texts that state the source of the numbers, by topic.
         link_names: (n + 1,) names of the base and the links, for messages.
-        joints_per_motor: (n, n) joint angles per angle of the motors behind their gears; not the
-            unit matrix where a motor also moves a neighbour of its joint.
-        guessed: Which of these are unknown: guessed numbers are good enough for a mock only.
+        joints_per_motor: (n, n) matrix of joint angles per motor angle behind the gears. The matrix
+            `joints_per_motor` is not the identity if a motor also moves a neighbouring joint.
+        guessed: Names of the quantities that are guessed; guessed values are accurate enough only
+            for a mock.
         sha256: Digest of the description of a custom arm (`description_sha256`); empty for a
             built-in arm.
-        file_sha256: Digest of the bytes of that file.
+        file_sha256: Digest of the bytes of the description file of a custom arm.
     """
 
     name: str
@@ -108,20 +112,26 @@ def arm_names() -> tuple[str, ...]:
 
 
 def is_description(model: str) -> bool:
-    """Return whether a robot's `model` is the path of a description, not a built-in arm's name."""
+    """Return whether `model` of a robot is the path of a description file, not a built-in name."""
     return model.casefold().endswith((".yaml", ".yml"))
 
 
 def is_described(model: str) -> bool:
-    """Return whether an arm is built in or described in a file: both have collision bodies."""
+    """Return whether an arm is built in or described by a description file.
+
+    Built-in arms and arms of a description file have collision bodies, whereas an arm from a URDF
+    has none.
+    """
     return model in arm_names() or is_description(model)
 
 
 def load_arm(name: str) -> ArmDescription:
-    """Return the built-in arm `name`, or the one that a file describes; parsed once per process.
+    """Return the built-in arm `name`, or the arm of the description file `name`.
+
+    Each description file is parsed once per process.
 
     Raises:
-        SpecError: There is no such arm, or its description cannot be used.
+        SpecError: The arm does not exist, or its description is invalid.
     """
     return _parsed(name)
 
@@ -138,7 +148,7 @@ def _parsed(name: str) -> ArmDescription:
     else:
         raise SpecError(
             f"there is no built-in arm {name!r}",
-            hint=f"built in are {', '.join(arm_names())}; a path to a URDF works too",
+            hint=f"built-in arms: {', '.join(arm_names())}; the path of a URDF is accepted too",
         )
     for value in (getattr(arm, field.name) for field in fields(arm)):
         if isinstance(value, np.ndarray):
@@ -147,29 +157,34 @@ def _parsed(name: str) -> ArmDescription:
 
 
 def _of_file(path: Path) -> ArmDescription:
-    """Return the arm of a file of the same form as those beside this module."""
+    """Return the arm of a description file, which has the form of the YAML files in this folder."""
     from hil.core import look_into
 
-    hint = "`hil new own-urdf` writes one from a URDF; hil/arms/ur5.yaml is one, too"
+    hint = "`hil new own-urdf` writes a description from a URDF; example: hil/arms/ur5.yaml"
     try:
         raw = path.read_bytes()
         document = look_into(raw.decode("utf-8"))
     except (OSError, ValueError) as error:
-        raise SpecError(f"{path}: cannot be read as an arm: {error}", hint=hint) from None
+        raise SpecError(
+            f"{path}: cannot be read as an arm description: {error}", hint=hint
+        ) from None
     try:
         arm, digest = arm_from_dict(str(path), document), description_sha256(document)
         return replace(arm, sha256=digest, file_sha256=sha256(raw).hexdigest())
     except KeyError as error:
-        raise SpecError(f"{path}: the arm lacks {error.args[0]!r}", hint=hint) from None
+        raise SpecError(
+            f"{path}: the arm description lacks the key {error.args[0]!r}", hint=hint
+        ) from None
     except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise SpecError(f"{path}: describes no arm: {error}", hint=hint) from None
+        raise SpecError(f"{path}: is not a valid arm description: {error}", hint=hint) from None
 
 
 def arm_from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
-    """Return an arm from the content of its file.
+    """Return an arm from the parsed content of its description file.
 
     Raises:
-        KeyError, TypeError, ValueError, AttributeError: It describes none.
+        KeyError, TypeError, ValueError, AttributeError: The content is not a valid description of
+            an arm.
     """
     joints, links = raw["joints"], raw["links"]
 
@@ -177,7 +192,7 @@ def arm_from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
         return np.array([joint[key] for joint in joints], dtype=np.float64) * scale
 
     if (column("drive_gain_nm_a") == 0).any():
-        raise ValueError("a drive_gain_nm_a is 0; write null where it is not known")
+        raise ValueError("a drive_gain_nm_a is 0; write null if it is unknown")
     degree = np.pi / 180
     dh = np.array([[j["a_m"], j["alpha_deg"], j["d_m"], j["theta_deg"]] for j in joints])
     dh[:, [1, 3]] *= degree
@@ -217,7 +232,7 @@ def arm_from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
 
 def _words(raw: Any) -> tuple[str, ...]:
     if not isinstance(raw, list) or not all(isinstance(word, str) for word in raw):
-        raise TypeError("`guessed` is a list of words, such as [qdd_max, capsules]")
+        raise TypeError("`guessed` must be a list of strings, such as [qdd_max, capsules]")
     return tuple(raw)
 
 
@@ -227,21 +242,23 @@ def _symmetric(values: list[float]) -> FloatArray:
 
 
 _ROUNDING = 0.05
-"""How far principal moments may be from possible ones, as a share of the largest: makers and CAD
-programs round inertias of small links to few digits."""
+"""Tolerance for principal moments of inertia, as a share of the largest moment.
+
+Manufacturers and CAD programs round the inertias of small links to few digits.
+"""
 
 
 def _require_possible(link: str, mass: float, inertia: FloatArray) -> None:
-    """Raise if no distribution of mass has a link's mass and inertia.
+    """Raise if the mass and inertia of a link are physically inconsistent.
 
     Args:
-        link: Its name.
-        mass: [kg].
-        inertia: (3, 3) about the centre of mass [kg·m²].
+        link: Name of the link for the error message.
+        mass: Mass [kg].
+        inertia: (3, 3) inertia about the centre of mass [kg·m²].
 
     Raises:
-        ValueError: The mass is negative, a principal moment of inertia is, or is larger than the
-            sum of the other two.
+        ValueError: The mass or a principal moment of inertia is negative, or a principal moment is
+            larger than the sum of the other two.
     """
     if not (np.isfinite(mass) and np.isfinite(inertia).all()):
         raise ValueError(f"{link}: mass_kg and inertia_kgm2 must be finite numbers")
@@ -251,28 +268,32 @@ def _require_possible(link: str, mass: float, inertia: FloatArray) -> None:
     if least < -_ROUNDING * abs(largest) or least + middle < largest * (1 - _ROUNDING):
         moments = ", ".join(f"{moment:.3g}" for moment in (least, middle, largest))
         raise ValueError(
-            f"{link}: no body has the inertia_kgm2 that is given: its principal moments are "
+            f"{link}: inertia_kgm2 is not physically consistent: its principal moments are "
             f"{moments} kg·m², and none may be negative or larger than the sum of the others"
         )
 
 
-# The file of a custom arm: has its content changed?
+# Changes in the description file of a custom arm
 
 
 def model_sha256(model: str) -> str:
-    """Return the SHA-256 of the content of a custom arm's file, as this process has read it.
+    """Return the SHA-256 of the content of a custom arm's file as this process has read it.
 
     Returns:
-        Hexadecimal; empty for a built-in arm.
+        Hexadecimal digest of the content; empty for a built-in arm.
 
     Raises:
-        SpecError: The file cannot be used.
+        SpecError: The description file is missing or invalid.
     """
     return _digests(model)[0]
 
 
 def _digests(model: str) -> tuple[str, str]:
-    """Return the digests of the file's content and of its bytes, which old runs and models have."""
+    """Return the digest of the content of the file and the digest of its bytes.
+
+    Runs and models of older versions of hil contain the digest of the bytes instead of the digest
+    of the content.
+    """
     if model in arm_names():
         return "", ""
     if is_description(model):
@@ -283,7 +304,7 @@ def _digests(model: str) -> tuple[str, str]:
         return urdf_sha256(content), sha256(content).hexdigest()
     except OSError as error:
         raise SpecError(
-            f"{model}: cannot be read: {error.strerror}", hint="see whether it exists"
+            f"{model}: cannot be read: {error.strerror}", hint="check that the file exists"
         ) from None
 
 
@@ -293,14 +314,14 @@ def require_same_arm(
     """Raise if the file of an arm has changed since a run or model was made with it.
 
     Args:
-        robot: The robot in a run's start document, or the arm in a model's; one without a digest
-            passes.
-        source: The run or model, for the message.
-        otherwise: What else the user can do.
-        gone: A file that cannot be read passes as well: it cannot be mistaken for the arm.
+        robot: Robot entry of a run's start document, or of a model; a robot entry without a digest
+            is accepted.
+        source: Path of the run or model for the error message.
+        otherwise: Alternative remedy for the user, which the error message contains.
+        gone: Whether a description file that cannot be read is accepted too.
 
     Raises:
-        DataError: The file is gone, or its content has changed.
+        DataError: The description file cannot be read, or its content has changed.
     """
     recorded, model = robot.get("model_sha256"), str(robot.get("model", ""))
     if not recorded:
@@ -310,27 +331,27 @@ def require_same_arm(
     except SpecError as error:
         if gone:
             return
-        raise DataError(error.message, hint=f"put {model} back, or {otherwise}") from None
+        raise DataError(error.message, hint=f"restore {model}, or {otherwise}") from None
     if recorded not in digests:
         raise DataError(
-            f"{model} describes another arm than when {source} was made: its SHA-256 is now "
-            f"{digests[0][:12]}…, and was {str(recorded)[:12]}…",
-            hint=f"put the original file back, or {otherwise}",
+            f"{model} has changed since {source} was made: its SHA-256 is now {digests[0][:12]}…, "
+            f"it was {str(recorded)[:12]}…",
+            hint=f"restore the original file, or {otherwise}",
         )
 
 
 _REMARKS = ("guessed", "sources")
-"""Keys of a description that say how its numbers are known."""
+"""Keys of a description that state how its numbers were obtained; the digest ignores them."""
 
 _LOOKS = ("visual", "collision", "material", "gazebo", "transmission")
-"""Elements of a URDF that no model is made of."""
+"""Elements of a URDF that no robot model uses; the digest ignores them."""
 
 
 def description_sha256(document: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a description, as its YAML was read.
+    """Return the SHA-256 of a parsed YAML description.
 
-    Everything counts but `guessed` and `sources`. Comments, the order of keys and how numbers are
-    written do not.
+    The digest of a description depends on everything except `guessed` and `sources`. Comments, the
+    order of keys and the notation of numbers do not change the digest.
     """
     said = {key: value for key, value in document.items() if key not in _REMARKS}
     text = json.dumps(_with_floats(said), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
@@ -338,9 +359,10 @@ def description_sha256(document: Mapping[str, Any]) -> str:
 
 
 def urdf_sha256(content: bytes) -> str:
-    """Return the SHA-256 of a URDF: of its joints and inertias as canonical XML, without looks.
+    """Return the SHA-256 of the joints and inertias of a URDF, in canonical XML.
 
-    Of the bytes where they are no XML.
+    Visual and collision geometry do not change the digest. If the content is not valid XML, the
+    digest is computed from the bytes.
     """
     try:
         root = ET.fromstring(content)  # noqa: S314  a file of the user's own lab
@@ -351,7 +373,7 @@ def urdf_sha256(content: bytes) -> str:
 
 
 def _with_floats(value: Any) -> Any:
-    """Return the value with every number as a float: 250 is 250.0."""
+    """Return the value with every number in it as a float: 250 is 250.0."""
     if isinstance(value, Mapping):
         return {str(key): _with_floats(one) for key, one in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Payloads: a rigid body at the flange, as declared or as identified."""
+"""Payload of an arm: a rigid body at the flange, declared or identified."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ COM_TOLERANCE_M = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Payload:
-    """A rigid body fixed to the flange.
+    """Rigid body fixed to the flange.
 
     Attributes:
         mass: Mass [kg], ≥ 0.
-        com: Centre of mass in the flange frame [m].
-        inertia: (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about the centre of mass in flange axes [kg·m²].
+        com: Position of the centre of mass in the flange frame [m].
+        inertia: Inertia (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about the centre of mass, in flange axes
+            [kg·m²].
     """
 
     mass: float = 0.0
@@ -27,10 +28,10 @@ class Payload:
     inertia: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def agrees_with(self, other: Payload) -> bool:
-        """Return whether a read-back is the declared load, within the rounding of controllers."""
+        """Return whether a payload read from a controller equals this one, except for rounding."""
         if abs(self.mass - other.mass) > MASS_TOLERANCE_KG:
             return False
-        # The centre of mass of nothing is nowhere in particular.
+        # The centre of mass of an empty payload is undefined and not compared.
         return self.is_empty or all(
             abs(a - b) <= COM_TOLERANCE_M for a, b in zip(self.com, other.com, strict=True)
         )
@@ -41,22 +42,25 @@ class Payload:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is mounted."""
+        """Whether the payload is empty, i.e. no payload is mounted."""
         return self.mass == 0.0
 
 
 AnyPayload: TypeAlias = str | float | Payload
-"""`MASS` or `MASS,X,Y,Z` [kg, m], the mass alone as a number [kg], or a `Payload`."""
+"""Forms of a payload: text `MASS` or `MASS,X,Y,Z` [kg, m], mass [kg], or `Payload`."""
 
 
 def payload_of(given: AnyPayload | None) -> Payload | None:
-    """Return the payload of a public function's argument; a mass alone is at the flange's origin.
+    """Return the payload that an argument of a public function describes.
+
+    A number or text with only a mass describes a payload whose centre of mass is at the origin of
+    the flange.
 
     Returns:
-        None for None; an empty payload for 0.
+        Payload; None for the argument None, and an empty payload for 0.
 
     Raises:
-        SpecError: The argument is no payload.
+        SpecError: The argument is not a valid payload.
     """
     if given is None:
         return None
@@ -70,7 +74,7 @@ def parse_payload(text: str) -> Payload:
     """Return the payload of the text `MASS` or `MASS,X,Y,Z`, in kg and m.
 
     Raises:
-        SpecError: The text is neither.
+        SpecError: The text has neither of the forms `MASS` and `MASS,X,Y,Z`.
     """
     try:
         numbers = [float(part) for part in text.split(",")]

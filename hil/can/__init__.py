@@ -1,6 +1,7 @@
-"""CAN on one computer: a bus between processes, what frames cost on the wire, logs of them.
+"""CAN tools for one computer: bus between processes, length of frames on the wire, frame logs.
 
-Shared by drivers and mock robots; nothing in here knows CANopen. `can` is imported where used.
+Drivers and mock robots use this package, which does not depend on CANopen. The package `can`
+(python-can) is imported only by the modules that need it.
 """
 
 import lazy_loader

@@ -1,7 +1,8 @@
-"""Many frames with one call of the kernel, over a socket with one frame a packet.
+"""Transfer of many CAN frames with one system call, over a socket with one frame per packet.
 
-A frame a call costs more than everything else in a cycle. Linux takes and gives any number at once
-(sendmmsg, recvmmsg), on SocketCAN and on a bus between processes; elsewhere it is one by one.
+If every frame needed a system call, these calls would take longer than the rest of a cycle. Linux
+sends or receives any number of frames in one system call (sendmmsg, recvmmsg), on SocketCAN and on
+a bus between processes. On other systems the frames are transferred one by one.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ from collections.abc import Callable, Iterable, Sequence
 from hil.can.frames import FRAME
 
 MOST = 64
-"""Frames taken at once."""
+"""Maximum number of frames received in one call."""
 
 FULL = frozenset({errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS})
-"""No room in the transmit queue: what AF_UNIX and SocketCAN say."""
+"""Values of `errno` for a full transmit queue, on AF_UNIX and on SocketCAN."""
 
 _NOW = socket.MSG_DONTWAIT
 _SIZE = FRAME.size
 _ROOM = _SIZE + 1
-"""Bytes for a packet: one that is longer than a frame shows."""
+"""Buffer size for a packet [bytes]: one byte more than a frame, to detect longer packets."""
 
 
 class _Vector(ctypes.Structure):
@@ -31,7 +32,7 @@ class _Vector(ctypes.Structure):
 
 
 class _Header(ctypes.Structure):
-    """What `sendmsg(2)` calls msghdr."""
+    """C structure `msghdr` of the system call `sendmsg`."""
 
     _fields_ = (
         ("name", ctypes.c_void_p),
@@ -45,21 +46,21 @@ class _Header(ctypes.Structure):
 
 
 class _Message(ctypes.Structure):
-    """What `sendmmsg(2)` calls mmsghdr."""
+    """C structure `mmsghdr` of the system call `sendmmsg`."""
 
     _fields_ = (("header", _Header), ("length", ctypes.c_uint))
 
 
 _LENGTH_AT = _Message.length.offset // 4
 _STRIDE = ctypes.sizeof(_Message) // 4
-"""Of the lengths among all the numbers of messages, each of four bytes."""
+"""Distance between the length fields of two messages in an array, in units of four bytes."""
 
 
 def _kernel_call(name: str) -> Callable[..., int] | None:
-    """A call that never waits, so it does not let go of the interpreter either.
+    """Return a non-blocking C function that is called without releasing the interpreter lock.
 
-    Types of arguments are not declared: checking them costs more than the rest of the call, when
-    milliseconds have passed since the last one and nothing is cached any more.
+    The argument types are not declared: if the last call was milliseconds ago and the caches are
+    cold, the check of the types takes longer than the rest of the call.
     """
     if sys.platform != "linux":
         return None
@@ -70,10 +71,10 @@ _send_many, _receive_many = _kernel_call("sendmmsg"), _kernel_call("recvmmsg")
 
 
 class Burst:
-    """Frames that are sent as they then lie in memory.
+    """Sender of frames in fixed memory, with the contents that they have at the time of sending.
 
     Args:
-        frames: Of 16 bytes each, writable; they stay where they are.
+        frames: Writable buffers of 16 bytes, one per frame, that must keep their place in memory.
     """
 
     def __init__(self, frames: Sequence[bytearray | memoryview]) -> None:
@@ -83,15 +84,15 @@ class Burst:
         self._at = ctypes.c_void_p(ctypes.addressof(self._messages))
 
     def send(self, line: socket.socket, number: int | None = None, *, after: int = 0) -> int:
-        """Put the first `number` of them (all when None) on the line; how many it had room for.
+        """Send the first `number` frames; return how many the transmit queue accepted.
 
         Args:
-            line: To the bus.
-            number: See above.
-            after: So many of them went before, and do not again.
+            line: Socket of the bus.
+            number: Number of frames to send; None for all frames.
+            after: Number of frames at the beginning that were sent before and are skipped.
 
         Raises:
-            OSError: The line is gone; nothing was sent.
+            OSError: The socket is closed; no frame was sent.
         """
         wanted = self._number if number is None else number
         if self._call is not None:
@@ -101,7 +102,7 @@ class Burst:
             sent = self._call(line.fileno(), at, wanted - after, _NOW)
             if sent >= 0:
                 return sent
-        return self._one_by_one(line, self._memory[after:wanted])  # says why none was
+        return self._one_by_one(line, self._memory[after:wanted])  # raises the reason
 
     def _one_by_one(
         self, line: socket.socket, frames: Sequence[ctypes.Array[ctypes.c_char]]
@@ -110,17 +111,17 @@ class Burst:
             try:
                 line.send(frame, _NOW)
             except OSError as error:
-                if at or error.errno in FULL:  # what is wrong is said with the next
+                if at or error.errno in FULL:  # the next call raises the error
                     return at
                 raise
         return len(frames)
 
 
 class Catch:
-    """Takes what has come.
+    """Receiver of all frames that wait in a socket.
 
     Args:
-        most: Frames taken at once.
+        most: Maximum number of frames received in one call.
     """
 
     def __init__(self, most: int = MOST) -> None:
@@ -135,17 +136,18 @@ class Catch:
         self._wrong: ConnectionError | None = None
 
     def take(self, line: socket.socket) -> list[bytes]:
-        """Frames that are there, without waiting, at most as many as this was made for.
+        """Return at most `most` received frames without blocking.
 
         Raises:
-            OSError: The line is gone, or carries no frames; those before were given before.
+            OSError: The socket is closed, or a packet is not a frame; frames before that packet
+                were returned by earlier calls.
         """
         if self._wrong is not None:
             raise self._wrong
         number = -1
         if self._call is not None:
             number = self._call(line.fileno(), self._at, self._most, _NOW, None)
-        if number < 0:  # there is none, or receiving one says what is wrong
+        if number < 0:  # no frame, or an error that the next call raises
             return self._one_by_one(line)
         lengths = self._lengths[:number].tolist()
         if lengths.count(_SIZE) != number:
@@ -166,10 +168,12 @@ class Catch:
         return frames
 
     def _before_wrong(self, lengths: list[int]) -> int:
-        """How many frames came before a packet that is none; raises if there were none."""
+        """Return the number of frames before an invalid packet; raise if this number is 0."""
         at = next(at for at, length in enumerate(lengths) if length != _SIZE)
         self._wrong = ConnectionError(
-            f"sent {lengths[at]} bytes or more, no frame" if lengths[at] else "hung up"
+            f"a packet of at least {lengths[at]} bytes is not a frame"
+            if lengths[at]
+            else "the other end closed the connection"
         )
         if not at:
             raise self._wrong
@@ -179,14 +183,14 @@ class Catch:
 def _received(line: socket.socket) -> bytes:
     try:
         return line.recv(_ROOM, _NOW)
-    except ConnectionResetError:  # said once, and before the frames that were sent
+    except ConnectionResetError:  # reported once, before the frames that were sent earlier
         return line.recv(_ROOM, _NOW)
 
 
 def _messages(
     addresses: Iterable[int], length: int
 ) -> tuple[ctypes.Array[_Message], ctypes.Array[_Vector]]:
-    """One message per address; the second array must live as long as the first."""
+    """Return an array with one message per address, and an array that must live as long."""
     each = [_Vector(address, length) for address in addresses]
     vectors = (_Vector * len(each))(*each)
     messages = (_Message * len(each))()

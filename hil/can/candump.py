@@ -1,6 +1,8 @@
-"""Logs of a bus as `candump -L` writes them: one line of text a frame, read by all CAN tools.
+"""Reading and writing of bus logs in the text format of `candump -L`, one line per frame.
 
-`(1699999999.123456) can0 181#37060000C80A`: Unix time [s], channel, identifier and data in hex.
+All CAN tools read the format of `candump -L`. For example, the line `(1699999999.123456) can0
+181#37060000C80A` contains the Unix time [s], the channel, and the identifier and the data in
+hexadecimal.
 """
 
 from __future__ import annotations
@@ -24,11 +26,11 @@ _LINE = re.compile(
 
 
 class Logged(NamedTuple):
-    """A line of a log.
+    """Content of one line of a log: frame and channel.
 
     Attributes:
-        frame: With its time.
-        channel: On which it was seen.
+        frame: Frame with the time of its reception.
+        channel: Channel on which the frame was received.
     """
 
     frame: Frame
@@ -36,25 +38,26 @@ class Logged(NamedTuple):
 
 
 def line_of(frame: Frame, channel: str) -> str:
-    """A frame as a line, without the end of it."""
+    """Return a frame as a line of a log, without the end of line."""
     flags, can_id = frame.id & ~ID_MASK, frame.id & ID_MASK
     if flags & ERROR:
         name = f"{can_id | ERROR:08X}"
     else:
         name = f"{can_id:08X}" if flags & EXTENDED else f"{can_id:03X}"
-    told = f"R{len(frame.data) or ''}" if flags & REMOTE else frame.data.hex().upper()
-    return f"({frame.time_s:.6f}) {channel} {name}#{told}"
+    text = f"R{len(frame.data) or ''}" if flags & REMOTE else frame.data.hex().upper()
+    return f"({frame.time_s:.6f}) {channel} {name}#{text}"
 
 
 def logged_in(line: str) -> Logged:
-    """The frame in a line.
+    """Return the frame and the channel in a line of a log.
 
     Raises:
-        ValueError: It is none, or a frame that is not classic CAN.
+        ValueError: The line does not contain a frame, or the frame is not classic CAN.
     """
     match = _LINE.fullmatch(line.strip())
     if match is None:
-        raise ValueError("a CAN FD frame" if "##" in line else f"no frame: {line.strip()[:60]!r}")
+        is_fd = "##" in line
+        raise ValueError("a CAN FD frame" if is_fd else f"not a frame: {line.strip()[:60]!r}")
     can_id = _identifier(match["id"])
     if match["data"] is None:
         can_id, data = can_id | REMOTE, bytes(int(match["length"] or 0))
@@ -63,25 +66,25 @@ def logged_in(line: str) -> Logged:
     return Logged(Frame(can_id, data, float(match["time"])), match["channel"])
 
 
-def _identifier(told: str) -> int:
-    can_id = int(told, 16)
-    if len(told) == 3 or (can_id & ERROR and not can_id & (EXTENDED | REMOTE)):
+def _identifier(text: str) -> int:
+    can_id = int(text, 16)
+    if len(text) == 3 or (can_id & ERROR and not can_id & (EXTENDED | REMOTE)):
         return can_id
     if can_id & ~ID_MASK:
-        raise ValueError(f"no identifier: {told}")
+        raise ValueError(f"not an identifier: {text}")
     return can_id | EXTENDED
 
 
 def read_candump(path: str | os.PathLike[str], channel: str | None = None) -> Iterator[Frame]:
-    """All frames of a log, in its order.
+    """Yield all frames of a log in the order of its lines.
 
     Args:
-        path: Of the log; empty lines are passed over, and a last one that was cut short.
-        channel: Only what was on it; `None` for a log of one channel.
+        path: Path of the log; empty lines and an incomplete last line are skipped.
+        channel: Channel to read; `None` for a log with only one channel.
 
     Raises:
-        DataError: The log cannot be read, a line is damaged, or there are several channels and none
-            was asked for; the message names file and line.
+        DataError: The log is unreadable, a line is damaged, or the log has several channels and
+            `channel` is None; the message contains file and line.
     """
     only = channel
     for where, logged in _logged(Path(path)):
@@ -89,8 +92,8 @@ def read_candump(path: str | os.PathLike[str], channel: str | None = None) -> It
             only = only or logged.channel
             if logged.channel != only:
                 raise DataError(
-                    f"{where}: channel {logged.channel}, and {only} before it",
-                    hint="name the channel to read",
+                    f"{where}: channel {logged.channel} after channel {only}",
+                    hint="select the channel to read",
                 )
         if logged.channel == only:
             yield logged.frame
@@ -104,12 +107,15 @@ def _logged(path: Path) -> Iterator[tuple[str, Logged]]:
                     yield f"{path}:{number}", _at(path, number, line)
     except OSError as error:
         raise DataError(
-            f"log {path} cannot be read: {error.strerror}", hint="give a file of `candump -L`"
+            f"log {path} cannot be read: {error.strerror}", hint="use a file of `candump -L`"
         ) from error
 
 
 def _is_torn(line: str) -> bool:
-    """Whether it is what a program that was killed leaves: no line's end, and no frame."""
+    """Return whether a line is incomplete because the writing program was killed.
+
+    An incomplete line has no end of line and contains no frame.
+    """
     return not line.endswith("\n") and _LINE.fullmatch(line.strip()) is None
 
 
@@ -119,26 +125,27 @@ def _at(path: Path, number: int, line: str) -> Logged:
     except ValueError as error:
         raise DataError(
             f"{path}:{number}: {error}",
-            hint="a line of `candump -L` reads (1699999999.123456) can0 181#0123; "
-            "remove the damaged one",
+            hint="a line of `candump -L` has the form (1699999999.123456) can0 181#0123; "
+            "remove the damaged line",
         ) from error
 
 
 class CandumpWriter:
-    """Writes a log; used with `with`, or closed by `close`.
+    """Writer of a log, closed by `close` or at the end of a `with` block.
 
     Args:
-        path: What is there is replaced.
-        channel: How to call the bus in it.
+        path: Path of the log; an existing file is overwritten.
+        channel: Name of the bus in the log.
 
     Raises:
-        RecordingError: The file cannot be made; `write` and `close` raise it as well.
+        RecordingError: The log file cannot be created; `write` and `close` raise this error if they
+            cannot write.
     """
 
     def __init__(self, path: str | os.PathLike[str], channel: str = "can0") -> None:
         if not channel or any(letter.isspace() for letter in channel):
             raise RecordingError(
-                f"{channel!r} cannot be the channel of a log", hint="use a name without spaces"
+                f"{channel!r} is not a valid channel of a log", hint="use a name without spaces"
             )
         self.path, self.channel = Path(path), channel
         try:
@@ -147,14 +154,14 @@ class CandumpWriter:
             raise self._broken(error) from error
 
     def write(self, frame: Frame) -> None:
-        """Append a frame; it is on the disk after `close` at the latest."""
+        """Append a frame to the log; the frame is written to the file at the latest by `close`."""
         try:
             self._file.write(line_of(frame, self.channel) + "\n")
         except OSError as error:
             raise self._broken(error) from error
 
     def close(self) -> None:
-        """Write what is still in memory. Idempotent."""
+        """Write buffered frames and close the file. Idempotent."""
         try:
             self._file.close()
         except OSError as error:
@@ -174,5 +181,5 @@ class CandumpWriter:
     def _broken(self, error: OSError) -> RecordingError:
         return RecordingError(
             f"log {self.path} cannot be written: {error.strerror}",
-            hint="free space there, or log somewhere else",
+            hint="free disk space, or log to a different folder",
         )

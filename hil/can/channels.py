@@ -1,8 +1,8 @@
-"""CAN channels of this computer: sockets of buses between processes, interfaces of the kernel.
+"""CAN channels of this computer: sockets of buses between processes, and kernel interfaces.
 
-A bus between processes lives at a socket in a folder of this user alone (`socket_path`,
-`private_folder`). Interfaces of the kernel, as most adapters are, are read from what it tells
-everybody: no rights are needed, and nothing is opened or sent.
+A bus between processes has a socket in a folder that only this user can access (`socket_path`,
+`private_folder`). Kernel interfaces, such as most CAN adapters, are listed in `/sys`. Reading
+`/sys` needs no privileges, and no interface is opened.
 """
 
 from __future__ import annotations
@@ -18,28 +18,29 @@ from hil.core import PluginError
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 
 _LONGEST = 107
-"""Bytes of a path that the kernel takes for a socket."""
+"""Longest path of a socket that the kernel accepts [bytes]."""
 
 
 def socket_path(channel: str | os.PathLike[str]) -> Path:
-    """The socket of a channel; nothing is made or looked at.
+    """Return the path of a channel's socket, without creating or checking the file.
 
     Args:
-        channel: A name such as `can0`, or the absolute path of the socket.
+        channel: Name of the channel such as `can0`, or absolute path of its socket.
 
     Raises:
-        PluginError: It is neither, or the path is longer than the kernel takes.
+        PluginError: The channel is neither a name nor an absolute path, or the path is too long for
+            the kernel.
     """
-    told = os.fspath(channel)
-    if os.path.isabs(told):
-        path = Path(told)
-    elif _NAME.fullmatch(told):
-        path = runtime_folder() / f"{told}.sock"
+    text = os.fspath(channel)
+    if os.path.isabs(text):
+        path = Path(text)
+    elif _NAME.fullmatch(text):
+        path = runtime_folder() / f"{text}.sock"
     else:
         raise PluginError(
-            f"{told!r} is no channel of a bus between processes",
-            hint="name it with letters, digits, '.', '_' and '-', as in can0, or give the "
-            "absolute path of its socket",
+            f"{text!r} is not a valid channel of a bus between processes",
+            hint="use a name of letters, digits, '.', '_' and '-', as in can0, or the absolute "
+            "path of the socket",
         )
     if len(os.fsencode(path)) > _LONGEST:
         raise PluginError(
@@ -50,27 +51,32 @@ def socket_path(channel: str | os.PathLike[str]) -> Path:
 
 
 def runtime_folder() -> Path:
-    """The folder of all named channels of this user: `$XDG_RUNTIME_DIR`, else the temporary one."""
+    """Return the folder of this user's named channels.
+
+    The folder is in `$XDG_RUNTIME_DIR`, or in the temporary folder if this variable is not set.
+    """
     above = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
     return Path(above) / f"hil-can-{os.getuid()}"
 
 
 def named_channels() -> list[str]:
-    """Names of the channels in the runtime folder, whether or not they are hosted now."""
+    """Return the names of all channels in the runtime folder, with or without a running host."""
     return sorted(path.stem for path in runtime_folder().glob("*.sock"))
 
 
-_HINT = "set XDG_RUNTIME_DIR to a folder of yours, or give the absolute path of a socket"
+_HINT = "set XDG_RUNTIME_DIR to a folder that you own, or use the absolute path of a socket"
 
 
 def private_folder(path: Path) -> None:
-    """See that a socket lies where no other user can replace it; the runtime folder is made.
+    """Raise unless a socket is in a folder to which no other user has access.
+
+    The runtime folder is created if necessary.
 
     Args:
-        path: Of the socket.
+        path: Path of the socket.
 
     Raises:
-        PluginError: The folder is missing, no folder, or another user's.
+        PluginError: The folder is missing, is not a folder, or is accessible to another user.
     """
     folder = path.parent
     try:
@@ -82,7 +88,7 @@ def private_folder(path: Path) -> None:
             f"the folder of channel {path} cannot be used: {error.strerror}", hint=_HINT
         ) from error
     if not stat.S_ISDIR(found.st_mode):
-        raise PluginError(f"the folder of channel {path} is none", hint=_HINT)
+        raise PluginError(f"the folder of channel {path} is not a folder", hint=_HINT)
     if folder == runtime_folder():
         _refuse_foreign(folder, found)
 
@@ -92,21 +98,21 @@ def _refuse_foreign(folder: Path, found: os.stat_result) -> None:
         raise PluginError(f"{folder} belongs to another user (uid {found.st_uid})", hint=_HINT)
     if stat.S_IMODE(found.st_mode) & 0o077:
         raise PluginError(
-            f"other users can get into {folder}", hint=f"close it first: chmod 700 {folder}"
+            f"other users have access to {folder}", hint=f"restrict it first: chmod 700 {folder}"
         )
 
 
 NETWORK = Path("/sys/class/net")
-"""Where the kernel lists its interfaces."""
+"""Folder in which the kernel lists its network interfaces."""
 
 IFF_UP = 0x1
 
 ARPHRD_CAN = 280
-"""What the kernel calls a CAN interface in `type`."""
+"""Number with which the kernel's file `type` marks a CAN interface."""
 
 
 def can_interfaces(network: Path = NETWORK) -> list[str]:
-    """Names of all CAN interfaces, up or down."""
+    """Return the names of all CAN interfaces of the kernel, up or down."""
     return [p.name for p in sorted(network.glob("*")) if _number(p / "type", 10) == ARPHRD_CAN]
 
 
@@ -118,19 +124,19 @@ def _number(file: Path, base: int) -> int | None:
 
 
 def is_up(name: str, network: Path = NETWORK) -> bool | None:
-    """Whether an interface is switched on; None where there is none of that name.
+    """Return whether an interface is up; None if there is no interface of that name.
 
-    An adapter that is pulled while this looks is not there.
+    An adapter that is disconnected during the check counts as missing.
     """
     flags = _number(network / name / "flags", 16)
     return None if flags is None else bool(flags & IFF_UP)
 
 
 def up_command(name: str, bitrate: int) -> str:
-    """What switches an interface on.
+    """Return the shell command that switches a CAN interface on.
 
     Args:
-        name: Of the interface.
-        bitrate: Bits per second of classic CAN [bit/s].
+        name: Name of the interface.
+        bitrate: Bit rate of classic CAN [bit/s].
     """
     return f"sudo ip link set {name} up type can bitrate {bitrate}"

@@ -1,14 +1,16 @@
-"""Hosts a CAN bus between processes: who connects gets all frames but its own, in one order.
+"""Host of a CAN bus between processes; each participant receives all frames of the others.
 
-A hub is single-threaded: its host calls `serve` whenever `fileno` is readable or `due_s` has come.
-It takes what participants send at once, so none is held up by another, and hangs up on who does not
-read. What a round has for a participant goes to it in one burst, still one frame a packet. With a
-bit rate, frames pass when a wire would have passed them (`wire_model`).
+A hub has no thread: the process that hosts the bus calls `serve` whenever `fileno` is readable or
+the time `due_s` is reached. All participants receive the frames in the same order. The hub reads
+the frames of the participants immediately, so that no participant waits for another. The hub closes
+the connection of a participant that does not read. All frames of a round for one participant are
+sent in one burst, with one frame per packet. With a bit rate, the hub delays frames like a real bus
+(`wire_model`).
 
-`LocalEnd` is the host's own end, `Participants` are the sockets of all others, watched together,
-and `Peer` is one of them. A `Listener` holds the channel: a lock beside its socket says who hosts
-it, and the socket that a dead hub has left is replaced. `hub_thread` serves a hub in a thread, for
-tests and tools that host a bus beside their work.
+`LocalEnd` is the host's connection to the bus, `Participants` contains the sockets of all other
+participants, and `Peer` is the socket of one participant. A `Listener` owns the channel: a lock
+file beside the socket names the host process. The socket of a dead hub is replaced. `hub_thread`
+serves a hub in a thread, for tests and tools that do other work at the same time.
 """
 
 from __future__ import annotations
@@ -54,23 +56,24 @@ _OVERFLOW = pack_frame(ERROR | ERROR_CONTROLLER, bytes([0, TX_OVERFLOW, 0, 0, 0,
 
 
 class Hub:
-    """A bus.
+    """CAN bus between processes, hosted by this process.
 
     Args:
-        channel: A name such as `can0`, or the absolute path of its socket.
-        bitrate: Model the wire: what it takes to send a frame, and who may send first [bit/s].
-            A frame that finds the transmit queue of its sender full is dropped, and the sender gets
-            an error frame. `None`: frames pass at once.
-        speed: Seconds of the bus in one second of the clock.
-        clock: [s].
+        channel: Name of the channel such as `can0`, or absolute path of its socket.
+        bitrate: Bit rate of a model of the wire [bit/s], which includes transmission times and
+            arbitration. In the model, if the transmit queue of a sender is full, the frame is
+            dropped and the sender receives an error frame. With `None`, frames are passed on
+            immediately.
+        speed: Ratio of bus time to the time of the clock.
+        clock: Function that returns the present time [s].
 
     Attributes:
-        path: Of the socket.
-        local: The host's own end.
-        wire: The model of the wire, `None` without one.
+        path: Path of the socket.
+        local: Host's connection to the bus.
+        wire: Model of the wire; `None` without a bit rate.
 
     Raises:
-        PluginError: The channel is taken, or cannot be made.
+        PluginError: The channel is used by another host, or cannot be created.
     """
 
     def __init__(
@@ -93,26 +96,27 @@ class Hub:
 
     @property
     def peers(self) -> tuple[Peer, ...]:
-        """All participants but the host, in the order in which they came."""
+        """Participants except the host, in the order in which they connected."""
         return self._all.ring
 
     @property
     def due_s(self) -> float | None:
-        """When to serve at the latest, by the clock; `None` when nothing is due."""
+        """Latest time of the next `serve` call, on the clock; `None` if no frame is pending."""
         return self.wire.due_s if self.wire else None
 
     def fileno(self) -> int:
-        """Readable when there is something to serve."""
+        """Return a file descriptor that is readable when the hub needs a call of `serve`."""
         return self._all.fileno()
 
     def serve(self, timeout_s: float = 0.0) -> None:
-        """One round: newcomers, frames, those who are gone.
+        """Serve one round: accept connections, pass frames on, remove closed connections.
 
         Args:
-            timeout_s: Wait so long for something to do.
+            timeout_s: Longest wait for a frame or a connection [s].
 
         Raises:
-            Exception: What `heard` of the host's end raises; frames of that round may be lost.
+            Exception: Any exception that the callback `heard` of the host's connection raises;
+                frames of the round can be lost.
         """
         due_s = self.due_s
         if due_s is not None:
@@ -131,14 +135,15 @@ class Hub:
             self._all.flush()
 
     def flush(self) -> None:
-        """Let participants have what this round has brought so far: the rest of it takes long."""
+        """Send the frames queued so far in this round, before work that takes long."""
         self._all.flush()
 
     def bus_off(self, peer: Peer | None = None) -> None:
-        """Put a participant off the bus, as if its controller had seen too many errors.
+        """Put a participant off the bus, as if its controller had detected too many errors.
 
         Args:
-            peer: Which one, `None` for all there are; new connections are on the bus.
+            peer: Participant to put off the bus; `None` for all present participants. Participants
+                that connect later are on the bus.
         """
         for each in self.peers if peer is None else (peer,):
             if not each.off:
@@ -149,7 +154,7 @@ class Hub:
         self._settle()
 
     def recover(self, peer: Peer | None = None) -> None:
-        """Let it back on the bus, `None` for all."""
+        """Put a participant back on the bus; `None` for all participants."""
         for each in self.peers if peer is None else (peer,):
             if each.off:
                 each.off = False
@@ -157,7 +162,7 @@ class Hub:
         self._settle()
 
     def close(self) -> None:
-        """Hang up on everybody and let go of the channel. Idempotent."""
+        """Close all connections and release the channel. Idempotent."""
         self._all.close()
         self._listener.close()
 
@@ -179,7 +184,7 @@ class Hub:
 
     def _attend(self, peer: Peer) -> None:
         frames, gone = peer.batch()
-        self._accept()  # who was connected when these were sent is to get them
+        self._accept()  # participants connected before these frames must receive them
         if gone:
             self._all.drop(peer)
         for raw in frames:
@@ -193,7 +198,7 @@ class Hub:
         self._settle()
 
     def _settle(self) -> None:
-        """Outside of a round nothing is waited for."""
+        """Send queued frames at once, unless `serve` is running and sends them at its end."""
         if not self._serving:
             self._all.flush()
 
@@ -214,18 +219,19 @@ class Hub:
 
 
 def _is_sendable(raw: bytes) -> bool:
-    """Data and remote frames that can be; no end sends the errors of others' controllers."""
+    """Return whether a frame is a valid data or remote frame, because others must not be sent."""
     can_id = int.from_bytes(raw[:4], "little")
     longest = ID_MASK if can_id & EXTENDED else 0x7FF
     return not can_id & ERROR and raw[4] <= 8 and can_id & ID_MASK <= longest
 
 
 class LocalEnd:
-    """The host's own end of the bus, behind which as many nodes may be as it likes.
+    """Host's connection to the bus, which any number of nodes can use.
 
     Attributes:
-        heard: Called with every frame that others send, while the hub serves.
-        dropped: Frames for which the transmit queue had no room; those of the highest identifiers.
+        heard: Callback for every frame of the other participants, called while the hub serves.
+        dropped: Number of frames dropped because the transmit queue was full; the frames with the
+            highest identifiers are dropped.
     """
 
     def __init__(self, take: Callable[[LocalEnd, bytes], None]) -> None:
@@ -234,9 +240,10 @@ class LocalEnd:
         self.dropped = 0
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Put a frame on the bus; who serves the hub may call it.
+        """Put a frame on the bus; only the thread that serves the hub may call this.
 
-        From within `heard` it goes with all else of that round, or with `Hub.flush`.
+        A frame passed to `send` within `heard` is sent with the other frames of the round, or by
+        `Hub.flush`.
         """
         self._take(self, pack_frame(can_id, data))
 
@@ -245,13 +252,14 @@ _IN, _OUT = select.EPOLLIN, select.EPOLLOUT
 
 
 class Participants:
-    """Those who are connected.
+    """Connected participants of a bus.
 
     Args:
-        listener: Where newcomers connect; non-blocking.
+        listener: Non-blocking socket that accepts connections.
 
     Attributes:
-        ring: They, in the order in which they came; replaced, never changed.
+        ring: Participants in the order in which they connected. The tuple is replaced at each
+            change.
     """
 
     def __init__(self, listener: socket.socket) -> None:
@@ -265,16 +273,16 @@ class Participants:
         self._epoll.register(listener.fileno(), _IN)
 
     def fileno(self) -> int:
-        """Readable when one of them, or a newcomer, wants something."""
+        """Return a file descriptor that is readable when a socket of the bus needs service."""
         return self._epoll.fileno()
 
     def ready(self, timeout_s: float) -> list[Peer]:
-        """Who has something to be read, or has gone; what waited for others is sent on the way.
+        """Return participants with received data or a closed connection; also send waiting frames.
 
         Args:
-            timeout_s: Wait so long for it.
+            timeout_s: Longest wait [s].
         """
-        if timeout_s > 0:  # `epoll` itself counts in milliseconds
+        if timeout_s > 0:  # `epoll` itself has a resolution of milliseconds
             select.select([self._epoll], [], [], timeout_s)
         events = [(self._peers.get(fd), event) for fd, event in self._epoll.poll(0)]
         for peer, event in events:
@@ -283,8 +291,8 @@ class Participants:
         return [peer for peer, event in events if peer is not None and event & ~_OUT]
 
     def accept(self) -> Peer | None:
-        """The next newcomer, `None` when there is none."""
-        if not self._door.poll(0):  # a twentieth of what a failing accept() costs
+        """Accept and return the next participant; `None` if no participant is waiting."""
+        if not self._door.poll(0):  # takes a twentieth of the time of a failing accept()
             return None
         try:
             connection, _ = self._listener.accept()
@@ -297,7 +305,7 @@ class Participants:
         return peer
 
     def give(self, peer: Peer, raw: bytes) -> None:
-        """Let one of them have a frame, with the next `flush`."""
+        """Queue a frame for a participant, which the next `flush` sends."""
         if peer.off or peer.deaf:
             return
         if len(peer.waiting) >= MOST_WAITING:
@@ -309,14 +317,14 @@ class Participants:
         self._given[peer] = None
 
     def flush(self) -> None:
-        """Send all that was given, as far as sockets take it; the rest when they do."""
+        """Send all queued frames that the sockets accept; the remaining frames are sent later."""
         for peer in self._given:
             if not peer.full and not peer.deaf:
                 self._flush(peer)
         self._given.clear()
 
     def drop(self, peer: Peer) -> None:
-        """Hang up on one of them. Idempotent."""
+        """Close the connection of a participant. Idempotent."""
         if self._peers.get(peer.fd) is not peer:
             return
         del self._peers[peer.fd]
@@ -326,7 +334,7 @@ class Participants:
         peer.socket.close()
 
     def close(self) -> None:
-        """Hang up on all. Idempotent."""
+        """Close all connections. Idempotent."""
         for peer in self.ring:
             self.drop(peer)
         self._epoll.close()
@@ -341,7 +349,7 @@ class Participants:
             self._epoll.modify(peer.fd, _IN | _OUT if peer.full else _IN)
 
     def _give_up(self, peer: Peer) -> None:
-        """It gets no more; what it has sent is read up to its end, which is seen there."""
+        """Stop sending to a participant, but read its frames until the end of the connection."""
         peer.deaf, peer.full = True, False
         peer.waiting.clear()
         self._epoll.modify(peer.fd, _IN)
@@ -350,28 +358,31 @@ class Participants:
 
 
 BATCH = 32
-"""Frames taken from one participant before the others have their turn."""
+"""Maximum number of frames received from a participant before the next one is served."""
 
 MOST_WAITING = 65_536
-"""Frames that wait for one who does not read; it is hung up on beyond that."""
+"""Maximum number of frames that wait for a participant before its connection is closed."""
 
 _UCRED = struct.Struct("3i")
 
 
 class Peer:
-    """A participant.
+    """Participant of a bus.
 
     Args:
-        connection: To it.
+        connection: Socket of the participant.
 
     Attributes:
-        socket, fd: To it.
-        pid: Of its process.
-        off: It is off the bus: nothing passes to or from it.
-        deaf: It has gone, or was given up; what it has sent before still counts.
-        waiting: Frames for it that are not in its socket yet.
-        full: Its socket had no room for all of them.
-        dropped: Frames it wanted to send and its transmit queue had no room for.
+        socket: Socket of the participant.
+        fd: File descriptor of the socket.
+        pid: Process id of the participant.
+        off: Whether the participant is off the bus, so that no frame passes to or from the
+            participant.
+        deaf: Whether the connection is closed, or the hub no longer sends to the participant;
+            frames received before remain valid.
+        waiting: Frames for the participant that its socket has not yet accepted.
+        full: Whether the socket did not accept all frames for the participant.
+        dropped: Number of the participant's frames that did not fit into its transmit queue.
     """
 
     def __init__(self, connection: socket.socket) -> None:
@@ -387,17 +398,17 @@ class Peer:
         self._burst = Burst([view[at : at + FRAME.size] for at in range(0, len(view), FRAME.size)])
 
     def batch(self) -> tuple[list[bytes], bool]:
-        """The next frames it has sent, at most `BATCH`; or that it has gone, and sent no more."""
+        """Return at most `BATCH` received frames, and whether the participant has disconnected."""
         try:
             return self._catch.take(self.socket), False
         except OSError:
             return [], True
 
     def flush(self) -> None:
-        """Send what waits, as far as its socket has room; `full` says whether some is left.
+        """Send the waiting frames that the socket accepts; set `full` if frames remain.
 
         Raises:
-            OSError: It has hung up.
+            OSError: The participant has disconnected.
         """
         waiting, burst, memory = self.waiting, self._burst, self._memory
         self.full = False
@@ -421,17 +432,17 @@ _BACKLOG = 16
 
 
 class Listener:
-    """Holds a channel and listens at it.
+    """Owner of a channel, which locks the channel and accepts connections.
 
     Args:
-        path: Of the socket; see `hil.can.channels.socket_path`.
+        path: Path of the channel's socket, from `hil.can.channels.socket_path`.
 
     Attributes:
-        path: The same.
-        socket: Non-blocking.
+        path: Path of the socket.
+        socket: Non-blocking listening socket.
 
     Raises:
-        PluginError: Another process hosts the channel, or the socket cannot be made.
+        PluginError: Another process hosts the channel, or the socket cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -442,7 +453,7 @@ class Listener:
         try:
             _clear(path)
             self.socket.bind(str(path))
-            path.chmod(0o600)  # before it listens: no other user gets in between
+            path.chmod(0o600)  # before listen(), so that no other user can connect
             self.socket.listen(_BACKLOG)
         except OSError as error:
             self.close()
@@ -453,7 +464,7 @@ class Listener:
         self.socket.setblocking(False)
 
     def close(self) -> None:
-        """Let go of the channel. Idempotent."""
+        """Close the socket and release the channel. Idempotent."""
         if self.socket.fileno() >= 0:
             self.socket.close()
             with contextlib.suppress(OSError):
@@ -471,26 +482,26 @@ def _held_by_us(path: Path) -> LockFile:
     if isinstance(held, LockFile):
         return held
     raise PluginError(
-        f"channel {path} is taken: {held} hosts it",
+        f"channel {path} is in use: {held} hosts it",
         hint="connect to that bus, end its host, or choose another channel",
     )
 
 
 def _clear(path: Path) -> None:
-    """Remove the socket of a hub that died, as the holder of the lock knows."""
+    """Remove the socket of a dead hub; only the owner of the channel's lock may call this."""
     if path.is_socket():
         path.unlink()
     elif os.path.lexists(path):
         raise PluginError(
-            f"channel {path}: there is something that is no socket",
-            hint="choose another channel, or move that away",
+            f"channel {path}: the path exists and is not a socket",
+            hint="choose another channel, or move the file away",
         )
 
 
 def _unusable(path: Path, error: OSError) -> PluginError:
     return PluginError(
         f"channel {path} cannot be hosted: {error.strerror or error}",
-        hint="choose a folder that you may write to",
+        hint="choose a folder with write permission",
     )
 
 
@@ -502,7 +513,7 @@ _PATIENCE_S = 10.0
 def hub_thread(
     channel: str | os.PathLike[str], *, bitrate: float | None = None, speed: float = 1.0
 ) -> Iterator[HostedHub]:
-    """Host a bus while the block runs; arguments and errors of `Hub`."""
+    """Host a bus while the `with` block runs; arguments and exceptions are those of `Hub`."""
     hosted = HostedHub(Hub(channel, bitrate=bitrate, speed=speed))
     try:
         yield hosted
@@ -511,45 +522,45 @@ def hub_thread(
 
 
 class HostedHub:
-    """A hub that a thread serves.
+    """Hub that is served by a separate thread.
 
     Args:
-        hub: Which; nothing else may touch it.
+        hub: Hub that the thread serves and that no other code must use.
     """
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
-        self._asked: queue.SimpleQueue[tuple[Callable[[Hub], Any], Future[Any]]]
-        self._asked = queue.SimpleQueue()
+        self._calls: queue.SimpleQueue[tuple[Callable[[Hub], Any], Future[Any]]]
+        self._calls = queue.SimpleQueue()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="hil-can-hub", daemon=True)
         self._thread.start()
 
     @property
     def path(self) -> Path:
-        """Of its socket: the channel for those who connect."""
+        """Path of the socket, which participants pass as the channel."""
         return self._hub.path
 
     def ask(self, action: Callable[[Hub], Any]) -> Any:
-        """Do something with the hub between two rounds; waits, and returns or raises what it does.
+        """Execute an action with the hub between two rounds; return or raise the action's result.
 
         Raises:
-            TimeoutError: The thread does not serve any more.
+            TimeoutError: The thread does not serve the hub any more.
         """
         done: Future[Any] = Future()
-        self._asked.put((action, done))
+        self._calls.put((action, done))
         return done.result(_PATIENCE_S)
 
     def close(self) -> None:
-        """End the thread and the bus. Idempotent."""
+        """End the thread and close the bus. Idempotent."""
         self._ended.set()
         self._thread.join()
         self._hub.close()
 
     def _serve(self) -> None:
         while not self._ended.is_set():
-            while not self._asked.empty():
-                self._answer(*self._asked.get())
+            while not self._calls.empty():
+                self._answer(*self._calls.get())
             self._hub.serve(_ROUND_S)
 
     def _answer(self, action: Callable[[Hub], Any], done: Future[Any]) -> None:

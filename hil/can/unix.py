@@ -1,7 +1,8 @@
-"""`hil_unix`: python-can on a bus between processes of this computer, hosted by a hub.
+"""Python-can interface `hil_unix` for a bus between processes, hosted by a hub.
 
-Ordered and lossless. One packet of the socket is one frame in SocketCAN's layout: code that has no
-time for `can.Message` uses `UnixBus.socket` itself.
+On this bus, frames arrive in order and are never lost. One packet of the socket is one frame in the
+layout of SocketCAN, so time-critical code can use `UnixBus.socket` directly instead of
+`can.Message`.
 """
 
 from __future__ import annotations
@@ -29,24 +30,25 @@ from hil.can.frames import (
 from hil.core import PluginError
 
 SEND_PATIENCE_S = 1.0
-"""How long `send` waits for room unless told: a hub that runs always makes some [s]."""
+"""Default time-out of `send` [s]; a running hub always accepts a frame within this time."""
 
 _NOW = socket.MSG_DONTWAIT
 
 
 class UnixBus(can.BusABC):
-    """One participant of a bus between processes.
+    """Connection of one participant to a bus between processes, as a python-can bus.
 
     Args:
-        channel: A name such as `can0`, or the absolute path of the hub's socket.
-        can_filters: See `can.BusABC.set_filters`.
-        **kwargs: What other interfaces need, such as `bitrate`; the bit rate is the hub's.
+        channel: Name of the channel such as `can0`, or absolute path of the hub's socket.
+        can_filters: Filters for received frames, as in `can.BusABC.set_filters`.
+        **kwargs: Options of other interfaces, such as `bitrate`; the hub sets the bit rate.
 
     Attributes:
-        socket: `SOCK_SEQPACKET`, one `hil.can.frames.FRAME` a packet; empty when the hub is gone.
+        socket: Socket of type `SOCK_SEQPACKET`, one `hil.can.frames.FRAME` per packet; after the
+            hub has closed, a read returns no bytes.
 
     Raises:
-        can.CanInitializationError: No process hosts the channel, or it is none.
+        can.CanInitializationError: No process hosts the channel, or the channel is invalid.
     """
 
     def __init__(self, channel: Any = "can0", can_filters: Any = None, **kwargs: Any) -> None:
@@ -58,29 +60,30 @@ class UnixBus(can.BusABC):
         super().__init__(channel=channel, can_filters=can_filters, **kwargs)
 
     def fileno(self) -> int:
-        """For `select` and `can.Notifier`."""
+        """Return the file descriptor of the socket, for `select` and `can.Notifier`."""
         return self.socket.fileno()
 
     @property
     def state(self) -> can.BusState:
-        """`ERROR` while the hub keeps this end off the bus, as far as it has read."""
+        """State of the CAN controller: `ERROR` after a bus-off frame of the hub was read."""
         return self._state
 
     @state.setter
     def state(self, new_state: can.BusState) -> None:
-        raise NotImplementedError("the state of this bus is the hub's")
+        raise NotImplementedError("the hub determines the state of this bus")
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame.
 
         Args:
-            msg: A classic one.
-            timeout: Wait so long for room [s]; `SEND_PATIENCE_S` when `None`.
+            msg: Message with a classic CAN frame.
+            timeout: Longest wait while the transmit queue is full [s]; `SEND_PATIENCE_S` if `None`.
 
         Raises:
-            can.CanOperationError: There was no room in time, this end is off the bus, frames that
-                were sent before had to be dropped (said once), or the hub is gone.
-            ValueError: It is a CAN FD frame.
+            can.CanOperationError: The transmit queue was full until the time-out, this participant
+                is off the bus, earlier frames were dropped (reported one time), or the hub has
+                closed.
+            ValueError: The message is a CAN FD frame.
         """
         self._refuse_in_trouble()
         raw = _packed(msg)
@@ -107,7 +110,7 @@ class UnixBus(can.BusABC):
         return message, message.is_error_frame
 
     def shutdown(self) -> None:
-        """Leave the bus. Idempotent."""
+        """Close the connection to the bus. Idempotent."""
         super().shutdown()
         if hasattr(self, "socket"):
             self.socket.close()
@@ -119,7 +122,7 @@ class UnixBus(can.BusABC):
     def _read(self) -> bytes | None:
         try:
             return self.socket.recv(FRAME.size, _NOW)
-        except (BlockingIOError, TimeoutError):  # the latter where a time-out was set
+        except (BlockingIOError, TimeoutError):  # TimeoutError if a time-out was set
             return None
         except OSError as error:
             raise self._gone(error) from error
@@ -167,13 +170,14 @@ class UnixBus(can.BusABC):
     def _gone(self, error: OSError | None = None) -> can.CanOperationError:
         why = f" ({error.strerror})" if error else ""
         return can.CanOperationError(
-            f"{self}: the hub has hung up{why}: its host has ended, or this end read too slowly"
+            f"{self}: the hub closed the connection{why}: its host has ended, or this end read "
+            "too slowly"
         )
 
 
 def _packed(msg: can.Message) -> bytes:
     if msg.is_fd:
-        raise ValueError("a bus between processes carries classic CAN frames, no CAN FD")
+        raise ValueError("a bus between processes carries classic CAN frames only, not CAN FD")
     flags = (EXTENDED if msg.is_extended_id else 0) | (REMOTE if msg.is_remote_frame else 0)
     flags |= ERROR if msg.is_error_frame else 0
     return FRAME.pack(msg.arbitration_id | flags, msg.dlc, bytes(msg.data))
@@ -190,7 +194,7 @@ def _connected(channel: str) -> socket.socket:
     except OSError as error:
         connection.close()
         raise can.CanInitializationError(
-            f"nobody hosts the CAN bus {channel} ({path}: {error.strerror})\n"
-            "  → the mock drives host it: start `hil mock can` on the same channel first"
+            f"the CAN bus {channel} has no host ({path}: {error.strerror})\n"
+            "  → start the mock drives on the same channel first, which host it: `hil mock can`"
         ) from error
     return connection

@@ -1,11 +1,12 @@
-"""The wire of a classic CAN bus: one frame at a time, the lowest identifier first.
+"""Model of the wire of a classic CAN bus: one frame at a time, the lowest identifier first.
 
-Deterministic: it has no clock of its own, every call says what time it is. A frame counts with all
-the stuff bits it can have: what passes here passes on a real wire. Errors are not modelled.
+The model is deterministic and has no clock: the caller passes the time with every call. In the
+model each frame has the maximum number of stuff bits. Therefore frames that fit onto the modelled
+wire also fit onto a real wire. Transmission errors are not modelled.
 
-Participants wait in transmit queues. One controller sends in the order of its program (`InOrder`);
-an end behind which there are many controllers sends the lowest identifier first (`Sorted`), as they
-would among themselves.
+Frames wait in transmit queues until the wire is free. A participant with one controller sends in
+the order of its program (`InOrder`). A participant with many controllers sends the lowest
+identifier first (`Sorted`), like the arbitration between these controllers.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from typing import NamedTuple
 from hil.can.frames import EXTENDED, FRAME, REMOTE, frame_bits
 
 DEPTH = 64
-"""Frames that the transmit queue of one participant takes."""
+"""Capacity of the transmit queue of one participant [frames]."""
 
 
 class Passed(NamedTuple):
-    """A frame that has passed.
+    """Frame that was transmitted.
 
     Attributes:
-        end: Who has sent it.
-        raw: The frame.
-        at_s: When its last bit was on the wire.
+        end: Key of the participant that sent the frame.
+        raw: The 16 bytes of the frame.
+        at_s: Time at which the last bit of the frame was on the wire [s].
     """
 
     end: Hashable
@@ -37,22 +38,23 @@ class Passed(NamedTuple):
 
 
 class Wire:
-    """A wire that several participants want to use.
+    """Model of the wire that several participants share.
 
     Args:
-        bitrate: Of the bus [bit/s].
-        speed: Seconds of the bus in one second of the caller's clock.
-        depth: Frames that a transmit queue takes.
+        bitrate: Bit rate of the bus [bit/s].
+        speed: Ratio of bus time to the time of the caller's clock.
+        depth: Capacity of a transmit queue [frames].
 
     Attributes:
-        busy_s: For how long it was busy up to the last call [s of the caller's clock].
-        frames: That have passed.
-        refused: That were dropped because the queue of their sender was full.
+        busy_s: Total time for which the wire was busy up to the last call [s of the caller's
+            clock].
+        frames: Number of transmitted frames.
+        refused: Number of frames dropped because the transmit queue of their sender was full.
     """
 
     def __init__(self, bitrate: float, *, speed: float = 1.0, depth: int = DEPTH) -> None:
         if not (bitrate > 0 and speed > 0 and depth > 0):
-            raise ValueError("bit rate, speed and depth of a wire are above 0")
+            raise ValueError("bit rate, speed and depth of a wire must be above 0")
         self._bit_s = 1.0 / (bitrate * speed)
         self._depth = depth
         self._queues: dict[Hashable, Queue] = {}
@@ -64,28 +66,29 @@ class Wire:
         self.refused = 0
 
     def join(self, end: Hashable, *, sorts: bool = False) -> None:
-        """One more participant.
+        """Add a participant.
 
         Args:
-            end: Names it.
-            sorts: Several controllers are behind it: its own frames compete with each other.
+            end: Key of the participant.
+            sorts: Whether the participant has several controllers, whose frames are sorted by
+                identifier.
         """
         self._queues[end] = Sorted() if sorts else InOrder()
 
     def leave(self, end: Hashable) -> None:
-        """It goes; what it has handed to its controller before still passes."""
+        """Remove a participant after its queued frames were transmitted."""
         self._leaving.add(end)
         self._tidy(end)
 
     def forget(self, end: Hashable) -> None:
-        """Drop what waits in its queue."""
+        """Drop the frames in a participant's transmit queue."""
         self._queues[end] = type(self._queues[end])()
 
     def offer(self, end: Hashable, raw: bytes, now_s: float) -> bool:
-        """It wants to send a frame; whether its queue had room.
+        """Queue a frame of a participant; return whether the transmit queue had space.
 
-        Where it had none, one frame was dropped: the new one, or that of the highest identifier
-        behind an end that sorts.
+        If the queue is full, the new frame is dropped. If the participant sorts its frames, the
+        frame with the highest identifier is dropped instead.
         """
         self._advance(now_s)
         queue = self._queues[end]
@@ -99,18 +102,18 @@ class Wire:
         return True
 
     def passed(self, now_s: float) -> list[Passed]:
-        """Frames that have passed since the last call, in order."""
+        """Return the frames transmitted since the last call, in the order of transmission."""
         self._advance(now_s)
         passed, self._passed = self._passed, []
         return passed
 
     def waiting(self, end: Hashable) -> int:
-        """Frames in the queue of a participant, without the one on the wire."""
+        """Return the number of frames in a participant's queue, without the frame on the wire."""
         return len(self._queues[end])
 
     @property
     def due_s(self) -> float | None:
-        """When there is a frame that has passed, `None` while there is none to come."""
+        """Time at which the next frame is transmitted; `None` if no frame is pending."""
         if self._passed:
             return self._passed[0].at_s
         return self._passing.at_s if self._passing else None
@@ -123,7 +126,7 @@ class Wire:
             self._start(passing.at_s)
 
     def _start(self, at_s: float) -> None:
-        """The wire is free: the lowest identifier among those who want to send wins."""
+        """Start the transmission of the frame with the lowest identifier in all queues."""
         ready = [(queue.head, end) for end, queue in self._queues.items() if len(queue)]
         if not ready:
             self._passing = None
@@ -142,13 +145,13 @@ class Wire:
 
 
 def bits_on_wire(raw: bytes) -> int:
-    """Bits of a frame with all the stuff bits it can have; a remote frame has no data."""
+    """Return the bits of a frame with all possible stuff bits; a remote frame has no data."""
     can_id, length, _ = FRAME.unpack(raw)
     return frame_bits(0 if can_id & REMOTE else length, extended=bool(can_id & EXTENDED)).worst
 
 
 class InOrder:
-    """One controller: its frames leave in the order in which they came."""
+    """Transmit queue of one controller, which sends frames in the order of their arrival."""
 
     def __init__(self) -> None:
         self._frames: deque[bytes] = deque()
@@ -158,23 +161,26 @@ class InOrder:
 
     @property
     def head(self) -> int:
-        """What its next frame has in arbitration."""
+        """Arbitration value of the next frame."""
         return _priority(self._frames[0])
 
     def put(self, raw: bytes) -> None:
-        """One more frame."""
+        """Add a frame."""
         self._frames.append(raw)
 
     def squeeze(self, raw: bytes) -> None:
-        """It is full: the new frame is dropped."""
+        """Drop the new frame, because the queue is full."""
 
     def take(self) -> bytes:
-        """The next frame, which leaves."""
+        """Remove and return the frame that arrived first."""
         return self._frames.popleft()
 
 
 class Sorted:
-    """Many controllers: the lowest identifier leaves first, equal ones in order."""
+    """Transmit queue of many controllers, which sends the lowest identifier first.
+
+    Frames with equal identifiers are sent in the order of their arrival.
+    """
 
     def __init__(self) -> None:
         self._frames: list[tuple[int, int, bytes]] = []
@@ -185,21 +191,21 @@ class Sorted:
 
     @property
     def head(self) -> int:
-        """What its next frame has in arbitration."""
+        """Arbitration value of the next frame."""
         return self._frames[0][0]
 
     def put(self, raw: bytes) -> None:
-        """One more frame."""
+        """Add a frame."""
         heapq.heappush(self._frames, (_priority(raw), next(self._number), raw))
 
     def squeeze(self, raw: bytes) -> None:
-        """It is full: what would leave last is dropped, so that one node cannot stop another."""
+        """Add a frame to a full queue and drop the last, so that no node blocks the others."""
         self.put(raw)
         self._frames.remove(max(self._frames))
         heapq.heapify(self._frames)
 
     def take(self) -> bytes:
-        """The next frame, which leaves."""
+        """Remove and return the frame with the lowest identifier."""
         return heapq.heappop(self._frames)[2]
 
 
@@ -208,9 +214,10 @@ def _priority(raw: bytes) -> int:
 
 
 def arbitration(can_id: int) -> int:
-    """The field that decides who sends, as a number: the lowest wins (ISO 11898-1).
+    """Return an identifier's arbitration field as a number; the lowest wins (ISO 11898-1).
 
-    The 11 leading bits, then RTR or SRR, IDE, the 18 further bits and RTR of an extended frame.
+    The field consists of the 11 leading bits, then RTR or SRR, IDE, the 18 further bits and RTR of
+    an extended frame.
     """
     remote = 1 if can_id & REMOTE else 0
     if can_id & EXTENDED:

@@ -1,7 +1,8 @@
-"""`hil bench`: speed and memory as ratios against a peer measured in the same run.
+"""`hil bench`: speed and memory as ratios to a peer program that is measured in the same run.
 
-The benchmarks live in `benchmarks/` of a checkout and are no part of the wheel. Each is a file with
-a function `run(quick, …)` that returns `{name, figures, ratios}`; its first line describes it.
+The benchmarks are in the folder `benchmarks/` of a checkout and are not part of the wheel. Each
+benchmark is a file with a function `run(quick, …)` that returns `{name, figures, ratios}`. The
+first line of a benchmark file describes the benchmark.
 """
 
 import ast
@@ -22,29 +23,34 @@ app = typer.Typer()
 
 @app.command()
 def bench(
-    name: Annotated[str, typer.Argument(help="Benchmark; `list` names them, `all` runs all.")],
-    quick: Annotated[bool, typer.Option("--quick", help="A smaller problem.")] = False,
+    name: Annotated[
+        str, typer.Argument(help="Name of the benchmark; `list` shows all, `all` runs all.")
+    ],
+    quick: Annotated[bool, typer.Option("--quick", help="Run a smaller problem.")] = False,
     kills: Annotated[
-        int | None, typer.Option("--kills", min=1, help="crash: how often to kill.")
+        int | None, typer.Option("--kills", min=1, help="crash: number of kills.")
     ] = None,
     hours: Annotated[
-        float | None, typer.Option("--hours", min=0.01, help="soak: how much to simulate.")
+        float | None, typer.Option("--hours", min=0.01, help="soak: simulated hours.")
     ] = None,
     mock: Annotated[
-        bool, typer.Option("--mock", help="soak: rows of a moving mock UR5e; takes longer.")
+        bool,
+        typer.Option(
+            "--mock", help="soak: record a moving mock UR5e instead of random rows; slower."
+        ),
     ] = False,
     seed: Annotated[
         list[int] | None,
         typer.Option(
             "--seed",
             min=0,
-            help="static, mock_identification, lagrangian, networks: robots; lm: rows; excite: "
-            "starts. Repeatable.",
+            help="Random seed; repeatable. It selects robots (static, mock_identification, "
+            "lagrangian, networks), rows (lm) or start points (excite).",
         ),
     ] = None,
     json: JsonFlag = False,
 ) -> None:
-    """Measure; every ratio is against its peer in the same run."""
+    """Run benchmarks; each compares hil with a peer in the same run."""
     if name == "list":
         described = {one: _description(one) for one in benchmarks()}
         if json:
@@ -65,7 +71,7 @@ def bench(
 
 
 TABLE_WIDTH = 100
-"""Within which notes below tables are wrapped."""
+"""Maximum width of the notes below tables [columns of the terminal]."""
 
 
 def _print(document: dict[str, Any]) -> None:
@@ -80,7 +86,7 @@ def _print(document: dict[str, Any]) -> None:
         if rows:
             print_table((f"  {part}", ""), rows)
     for peer, reason in document.get("skipped", {}).items():
-        typer.echo(f"  {peer} left out: {reason}")
+        typer.echo(f"  {peer} not measured: {reason}")
 
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
@@ -90,18 +96,18 @@ def benchmarks() -> list[str]:
     """Return the names of the benchmarks of this checkout.
 
     Raises:
-        PluginError: `hil` is not running from a checkout.
+        PluginError: The program `hil` is not running from a checkout.
     """
     if not FOLDER.is_dir():
         raise PluginError(
-            "benchmarks are part of a checkout and this is an installed wheel",
+            "benchmarks exist only in a checkout, but hil is installed from a wheel",
             hint="clone the repository and run `hil bench` there",
         )
     return sorted(file.stem for file in FOLDER.glob("*.py") if not file.stem.startswith("_"))
 
 
 def _description(name: str) -> str:
-    """Return the first line of a benchmark's file, without importing it."""
+    """Return the first line of a benchmark's file, without importing the file."""
     text = ast.get_docstring(ast.parse((FOLDER / f"{name}.py").read_text("utf-8"))) or ""
     return text.partition("\n")[0]
 
@@ -110,15 +116,15 @@ def measure(name: str, *, quick: bool = False, **options: Any) -> dict[str, Any]
     """Run one benchmark and return `{name, figures, ratios}`.
 
     Args:
-        name: As listed by `benchmarks`.
-        quick: Use the smaller problem, for tests.
-        options: Further options of this benchmark, such as `kills` of `crash`.
+        name: Name of the benchmark, one of `benchmarks`.
+        quick: Whether to run the smaller problem of the benchmark, for tests.
+        options: Further options of this benchmark by name, such as `kills` of `crash`.
 
     Raises:
-        PluginError: There is no such benchmark, or it has no such option.
+        PluginError: The benchmark or one of its options is unknown.
     """
     if name not in benchmarks():
-        raise PluginError(f"there is no benchmark {name!r}", hint=did_you_mean(name, benchmarks()))
+        raise PluginError(f"unknown benchmark {name!r}", hint=did_you_mean(name, benchmarks()))
     module_spec = importlib.util.spec_from_file_location(f"bench_{name}", FOLDER / f"{name}.py")
     assert module_spec is not None
     assert module_spec.loader is not None
@@ -131,7 +137,7 @@ def measure(name: str, *, quick: bool = False, **options: Any) -> dict[str, Any]
     if unknown := [option for option in options if option not in known]:
         raise PluginError(
             f"the benchmark {name} has no option {unknown[0]}",
-            hint=f"it has {', '.join(known)}",
+            hint=f"its options are {', '.join(known)}",
         )
     document: dict[str, Any] = module.run(quick=quick, **options)
     return document

@@ -1,13 +1,14 @@
-"""Shell completion: which words may stand at a place of a command line.
+"""Shell completion: possible words at the cursor position of the command line.
 
-Typer asks for them when a shell calls `hil` with `_HIL_COMPLETE`. Only then this module is loaded
-and `attach` called, so that no other command pays for it; and it loads nothing heavy, as Tab is
-answered in a fifth of a second.
+Typer requests the words for completion when a shell calls `hil` with `_HIL_COMPLETE`. The module is
+loaded and `attach` is called only for a completion request, so other commands do not become slower.
+The module imports no large library, so that the Tab key is answered within a fifth of a second.
 
-`BY_COMMAND` and `BY_NAME` say which function finds the words of a parameter. It gets the parameters
-that stand before the cursor and the beginning of the word; `_completion_of` leaves out words that
-begin otherwise, and every error: a shell that waits for words must never see a traceback. Without
-any word the shell offers files.
+The dicts `BY_COMMAND` and `BY_NAME` contain the function that finds the words for a parameter. A
+completion function receives the parameters before the cursor and the beginning of the word. The
+wrapper `_completion_of` removes words with a different beginning and suppresses every error,
+because a shell must never receive a traceback. If the function finds no words, the shell offers
+files.
 """
 
 import inspect
@@ -25,16 +26,16 @@ from hil.cli.explain import KINDS
 from hil.export import TARGETS
 
 Parameters: TypeAlias = Mapping[str, Any]
-"""What stands on the command line before the cursor, by name."""
+"""Values of the parameters before the cursor, by name of the parameter."""
 
 Words: TypeAlias = Callable[[Parameters, str], Iterable[str]]
 
 
 def attach(app: typer.Typer) -> None:
-    """Give every parameter of `BY_COMMAND` and `BY_NAME` its completion.
+    """Add the completion function to every parameter in `BY_COMMAND` and `BY_NAME`.
 
     Args:
-        app: With all its commands.
+        app: Typer application with all its commands.
     """
     for command, callback in commands(app):
         hints = get_type_hints(callback, include_extras=True)
@@ -53,7 +54,7 @@ def attach(app: typer.Typer) -> None:
 
 
 def commands(app: typer.Typer, group: str = "") -> Iterator[tuple[str, Callable[..., Any]]]:
-    """Yield the words of every command, such as `models show`, and its function."""
+    """Yield the name of every command, such as `models show`, and the function of the command."""
     for command in app.registered_commands:
         assert command.callback is not None
         name = command.name or command.callback.__name__.replace("_", "-")
@@ -66,7 +67,7 @@ def commands(app: typer.Typer, group: str = "") -> Iterator[tuple[str, Callable[
 
 
 def _with(completion: Callable[..., list[str]], hint: Any) -> Any:
-    """Return the annotation with a completion, in a copy: several commands may share one."""
+    """Return a copy of an annotation with a completion, because commands may share the original."""
     kind, *infos = get_args(hint)
     infos = [copy(info) if isinstance(info, ParameterInfo) else info for info in infos]
     for info in infos:
@@ -76,7 +77,7 @@ def _with(completion: Callable[..., list[str]], hint: Any) -> Any:
 
 
 def _completion_of(words: Words) -> Callable[..., list[str]]:
-    """Return the function that typer calls; it recognises its arguments by their annotations."""
+    """Return the completion function for typer, which passes arguments by their annotations."""
 
     def complete(context: typer.Context, incomplete: str) -> list[str]:
         try:
@@ -88,21 +89,21 @@ def _completion_of(words: Words) -> Callable[..., list[str]]:
     return complete
 
 
-# Words by what they name
+# Words for each kind of object
 
 MOST = 200
-"""Newest runs that are offered, and YAML files whose kind is looked up."""
+"""Maximum number of offered runs (the newest runs), and of YAML files whose kind is determined."""
 
 HEAD_BYTES = 4000
-"""The key that says what a YAML file is comes within so much of it."""
+"""Number of bytes at the beginning of a YAML file that have to contain the key of its kind."""
 
 SPEC_FOLDERS = (Path(), Path("experiments"), Path("experiments/stations"), Path("stations"),
                 Path("experiments/maps"), Path("maps"))  # fmt: skip
-"""Where YAML files are kept."""
+"""Folders in which completion searches for YAML files."""
 
 ARMS = Path(__file__).parent.parent / "arms"
 DRIVES = "lab6_can"
-"""The robot of the built-in bench that is not named as its arm."""
+"""Robot of the built-in station whose name differs from the name of its arm."""
 
 
 def _runs(parameters: Parameters, begun: str) -> list[str]:
@@ -114,11 +115,12 @@ def _runs_and_series(parameters: Parameters, begun: str) -> list[str]:
 
 
 def _folders_with(marks: tuple[str, ...], parameters: Parameters, begun: str) -> list[str]:
-    """Return names; numbers once a digit other than 0 is typed, paths once a `/` is.
+    """Return names of runs; numbers if a digit other than 0 is typed, paths if a `/` is typed.
 
-    Folders of series and simulations lie between those of runs: a mark tells them apart.
+    Folders of series and simulations are in the same folder as run directories. Folders of the
+    requested kind contain one of the files `marks`; other folders do not.
     """
-    # As in `hil.recording`: that package takes 0.2 s to import, too long for a Tab.
+    # Same layout as in `hil.recording`, whose import takes 0.2 s and is too slow here.
     root = _folder(parameters, "runs", "HIL_RUNS", "runs")
     newest = reversed(
         [run for day in _below(root) for robot in _below(day) for run in _below(robot)]
@@ -134,7 +136,7 @@ def _folders_with(marks: tuple[str, ...], parameters: Parameters, begun: str) ->
 
 
 def _models(parameters: Parameters, begun: str) -> list[str]:
-    """Return folders of models in `models`, then runs, which stand for their only model."""
+    """Return folders in `models`, then runs, because the name of a run selects its only model."""
     if begun.startswith(("./", "../", "/")):
         return []
     folders = [str(path) for path in _below(Path("models")) if (path / "model.json").is_file()]
@@ -146,7 +148,7 @@ def _registered(parameters: Parameters, begun: str) -> list[str]:
 
 
 def _versions(parameters: Parameters, begun: str) -> list[str]:
-    """Return versions of the registered name that stands before, and what they are by role."""
+    """Return the versions of the model whose name is before the cursor, and their roles."""
     root = _folder(parameters, "registry", *REGISTRY) / str(parameters.get("name") or "")
     numbers = [path.name for path in _below(root) if path.name[1:].isdecimal()]
     return ["champion", "challenger", *numbers]
@@ -156,11 +158,11 @@ REGISTRY = ("HIL_REGISTRY", "registry")
 
 
 def _robots(parameters: Parameters, begun: str) -> list[str]:
-    """Return robots of the station named before, of $HIL_STATION, or of `station.yaml` here."""
+    """Return the robots of the station before the cursor, $HIL_STATION, or `station.yaml` here."""
     named = parameters.get("station") or os.environ.get("HIL_STATION") or "station.yaml"
     if not Path(str(named)).is_file():
         return [*_arms(parameters, begun), DRIVES]
-    from hil.core import look_into  # no other word needs YAML
+    from hil.core import look_into  # only this function needs YAML
 
     return list(look_into(Path(str(named)).read_bytes())["robots"])
 
@@ -176,7 +178,7 @@ def _benchmarks(parameters: Parameters, begun: str) -> list[str]:
 
 
 def _plugins(group: str, *others: str) -> Words:
-    """Return a function for the names of a group of plug-ins; none is imported."""
+    """Return a completion function for the names of a group of plug-ins; imports no plug-in."""
     from hil.core import plugins
 
     return lambda parameters, begun: [*others, *plugins.names(group)]
@@ -187,9 +189,9 @@ def _words(*words: str) -> Words:
 
 
 def _yaml(*keys: str) -> Words:
-    """Return a function for YAML files that begin with one of these keys.
+    """Return a completion function for YAML files that begin with one of the keys.
 
-    They are looked for in the folder that is typed, else where such files are kept.
+    The completion function searches in the typed folder; if no folder is typed, in `SPEC_FOLDERS`.
     """
 
     def files(parameters: Parameters, begun: str) -> Iterator[str]:
@@ -197,13 +199,14 @@ def _yaml(*keys: str) -> Words:
         folders = (Path(typed),) if typed else SPEC_FOLDERS
         prefix = "./" if begun.startswith("./") else ""
         for path in [path for folder in folders for path in _yaml_files(folder)][:MOST]:
-            if _begins_with(path, keys):
+            if begins_with(path, keys):
                 yield f"{prefix}{path}"
 
     return files
 
 
-def _begins_with(path: Path, keys: tuple[str, ...]) -> bool:
+def begins_with(path: Path, keys: tuple[str, ...]) -> bool:
+    """Return whether a line near the beginning of a YAML file starts with one of these keys."""
     try:
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES).decode("utf-8", "replace")
@@ -220,7 +223,7 @@ def _yaml_files(folder: Path) -> list[Path]:
 
 
 def _below(folder: Path) -> list[Path]:
-    """Return the folders in a folder, by name; none of one that cannot be read."""
+    """Return the folders in a folder, sorted by name; empty if the folder is not readable."""
     try:
         with os.scandir(folder) as entries:
             names = [entry.name for entry in entries if entry.is_dir()]
@@ -255,7 +258,7 @@ BY_NAME: dict[str, Words] = {
     "against": _versions,
     "word": _words("yes", "no"),
 }
-"""By parameter, whatever the command."""
+"""Completion function by name of the parameter, for all commands."""
 
 BY_COMMAND: dict[tuple[str, str], Words] = {
     ("export", "to"): _words(*TARGETS),
@@ -267,8 +270,8 @@ BY_COMMAND: dict[tuple[str, str], Words] = {
     ("mock", "model"): _arms,
     ("mock", "profile"): _words("full", "ideal"),
     ("fit", "robot"): _arms,
-    ("gains", "robot"): _arms,
-    ("gains", "method"): _words("auto", "known-loads", "controller"),
+    ("drive-gains", "robot"): _arms,
+    ("drive-gains", "method"): _words("auto", "known-loads", "controller"),
     ("payload", "friction"): _words("auto", "model", "offset", "scale"),
     ("report", "run"): _runs_and_series,
     ("schema", "kind"): _words(*KINDS),
@@ -276,7 +279,7 @@ BY_COMMAND: dict[tuple[str, str], Words] = {
     ("drift", "name"): _registered,
     ("run", "spec"): _motions,
     ("plan", "spec"): _motions,
-    ("excite", "spec"): _motions,
+    ("optimise", "spec"): _motions,
     ("fleet run", "spec"): _motions,
     ("fleet run", "robots"): _robots,
     **{
@@ -294,4 +297,4 @@ BY_COMMAND: dict[tuple[str, str], Words] = {
     ("models log", "name"): _registered,
     ("models repair", "name"): _registered,
 }
-"""By command and parameter, before `BY_NAME`."""
+"""Completion function by command and parameter; takes precedence over `BY_NAME`."""

@@ -1,4 +1,4 @@
-"""`hil import` and `hil export-data`: recordings from other tools, and for them."""
+"""`hil import` and `hil export-data`: recordings from other programs and for other programs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,30 +14,43 @@ app = typer.Typer()
 
 @app.command("import")
 def import_(
-    file: Annotated[Path, typer.Argument(help="CSV, .mat, ROS 2 bag, …", show_default=False)],
-    map_: Annotated[
-        Path, typer.Option("--map", help="YAML that says what the columns are.", show_default=False)
+    file: Annotated[
+        Path,
+        typer.Argument(help="Recording to import: CSV, .mat, ROS 2 bag, …", show_default=False),
     ],
-    out: Annotated[Path, typer.Option("-o", "--out", help="MCAP to write.", show_default=False)],
+    map_: Annotated[
+        Path,
+        typer.Option(
+            "--map", help="YAML map of the columns to quantities and units.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="MCAP file to write.", show_default=False)
+    ],
     format_: Annotated[
-        str, typer.Option("--format", help="csv, mat, ros2bag or ur_rtde; overrides the map's.")
+        str,
+        typer.Option(
+            "--format",
+            help="Input format: csv, mat, ros2bag or ur_rtde; default: the format in the map.",
+        ),
     ] = "",
     rows: Annotated[
-        str, typer.Option("--rows", help="Rows A:B, counted from 1, both included.")
+        str, typer.Option("--rows", help="First and last row A:B, counted from 1, both included.")
     ] = "",
     drop_bad_rows: Annotated[
-        bool, typer.Option("--drop-bad-rows", help="Leave out rows that make no sense.")
+        bool, typer.Option("--drop-bad-rows", help="Skip invalid rows.")
     ] = False,
     payload: Annotated[
         str,
         typer.Option(
             "--payload",
-            help="Load that was mounted, MASS_KG or MASS_KG,X_M,Y_M,Z_M; by default the map's.",
+            help="Mounted payload: MASS_KG or MASS_KG,X_M,Y_M,Z_M; default: the payload in the "
+            "map.",
         ),
     ] = "",
     json: JsonFlag = False,
 ) -> None:
-    """Import a recording; rows that make no sense are refused with their line numbers."""
+    """Import a recording of another program (CSV, .mat, ROS 2 bag) as MCAP; report invalid rows."""
     from hil import api
 
     report = api.import_recording(
@@ -64,7 +77,7 @@ def _window(text: str) -> tuple[int, int] | None:
         first, last = (int(part) for part in text.split(":"))
     except ValueError:
         raise DataError(
-            f"--rows {text!r} is no window of rows", hint="for example: --rows 635:3510"
+            f"--rows {text!r} is not a range of rows", hint="for example: --rows 635:3510"
         ) from None
     return first, last
 
@@ -73,18 +86,18 @@ def _window(text: str) -> tuple[int, int] | None:
 def export_data(
     source: Annotated[
         str,
-        typer.Argument(help="Run (directory, name or number) or MCAP file.", show_default=False),
+        typer.Argument(help="Run (directory, number or name) or MCAP file.", show_default=False),
     ],
     out: Annotated[
         Path,
         typer.Option(
-            "-o", "--out", help="File to make: .parquet, .csv or .npz.", show_default=False
+            "-o", "--out", help="File to write: .parquet, .csv or .npz.", show_default=False
         ),
     ],
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Write the samples of a run for other programs, one row each, nothing rounded."""
+    """Export the samples of a run as Parquet, CSV or NPZ, with full precision."""
     from hil import api
     from hil.runs import find_source
 

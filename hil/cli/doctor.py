@@ -1,4 +1,4 @@
-"""`hil doctor` and `hil plugins`: what this computer and this installation have, and what not."""
+"""`hil doctor` and `hil plugins`: checks of this computer, and the installed plug-ins."""
 
 import dataclasses
 from pathlib import Path
@@ -16,11 +16,11 @@ app = typer.Typer()
 def doctor(
     station: Annotated[
         Path | None,
-        typer.Option("--station", help="Also ask the robots of this station; none is moved."),
+        typer.Option("--station", help="Also query the robots of this station; no robot moves."),
     ] = None,
     json: JsonFlag = False,
 ) -> None:
-    """Look at this computer, and with --station at its robots; exits 1 when something is bad."""
+    """Check this computer and, with --station, its robots. The exit code is 1 if a check fails."""
     from hil.doctor import examine
 
     findings = examine(station)
@@ -34,7 +34,7 @@ def doctor(
 
 @app.command()
 def plugins(json: JsonFlag = False) -> None:
-    """List drivers, estimators, excitations, checks, interlocks and mocks; broken ones and why."""
+    """List drivers, estimators, checks, interlocks and mocks, with errors of broken plug-ins."""
     from hil.core import describe_all
 
     described = describe_all()

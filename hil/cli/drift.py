@@ -1,4 +1,4 @@
-"""`hil drift`: is a robot still the one its champion was fitted to?"""
+"""`hil drift`: test whether a robot has changed since its champion was fitted."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,25 +18,25 @@ def drift(
         list[str] | None,
         typer.Argument(
             metavar="[PROBE]...",
-            help="Runs or MCAP files, oldest first; by default none, and what was said is shown.",
+            help="Runs or MCAP files, oldest first; default: none, show the earlier results.",
             show_default=False,
         ),
     ] = None,
     false_alarm: Annotated[
         float,
         typer.Option(
-            help="Probability, at most, with which a probe calls an unchanged robot changed."
+            help="Largest probability that a probe of an unchanged robot is reported as changed."
         ),
     ] = 0.01,
     page: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.html", help="Also write all of it as a page, with plots."),
+        typer.Option(metavar="FILE.html", help="Also write an HTML page with plots of all probes."),
     ] = None,
     registry: RegistryOption = REGISTRY,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Judge probes against the champion; without any, what was said of those before."""
+    """Report whether a robot has changed: compare recordings (probes) with its champion model."""
     from hil.models import Registry, assess, probes_of
     from hil.runs import find_source
 
@@ -56,7 +56,7 @@ def drift(
         print_json({"name": name, "probes": documents})
         return
     if documents:
-        header = ("taken (UTC)", "probe", "champion", "changed", "what")
+        header = ("recorded (UTC)", "probe", "champion", "changed", "result")
         print_table(header, [_row(document) for document in documents])
     else:
         typer.echo(f"no probes of {name} yet: hil drift {name} PROBE")

@@ -1,4 +1,4 @@
-"""`hil explain` and `hil schema`: what the keys of YAML files mean, and exit codes."""
+"""`hil explain` and `hil schema`: meaning of YAML keys and exit codes."""
 
 from collections.abc import Iterator
 from typing import Annotated, Any
@@ -21,13 +21,13 @@ def explain(
         list[str],
         typer.Argument(
             metavar="KEY | exit [CODE]",
-            help="A key such as excitation.dwell_s, its end, or `exit` and a code.",
+            help="Key such as excitation.dwell_s or its last part, or `exit` and an exit code.",
             show_default=False,
         ),
     ],
     json: JsonFlag = False,
 ) -> None:
-    """Say what a key of a spec, station, series or schedule means, or an exit code."""
+    """Explain a key of a spec, station, series or schedule, or an exit code."""
     from hil.spec import describe_keys
 
     if words[0] == EXIT and len(words) <= 2:
@@ -35,7 +35,7 @@ def explain(
         return
     if len(words) > 1:
         raise SpecError(
-            f"{' '.join(words)!r} is more than one key", hint="hil explain excitation.dwell_s"
+            f"expected one key, got {' '.join(words)!r}", hint="hil explain excitation.dwell_s"
         )
     keys = describe_keys(words[0])
     if json:
@@ -71,12 +71,12 @@ def _explain_exit(words: list[str], json: bool) -> None:
             print_json({"exit_codes": {str(code): _document(code, codes) for code in codes}})
         else:
             rows = ((str(code), errors[0][1]) for code, errors in codes.items())
-            print_table(("exit code", "what"), rows)
+            print_table(("exit code", "meaning"), rows)
         return
     code = int(words[0]) if words[0].isdecimal() else -1
     if code not in codes:
         known = ", ".join(map(str, codes))
-        raise SpecError(f"hil never exits with {words[0]!r}", hint=f"exit codes are {known}")
+        raise SpecError(f"unknown exit code {words[0]!r}", hint=f"the exit codes are {known}")
     if json:
         print_json(_document(code, codes))
         return
@@ -91,8 +91,8 @@ def _document(code: int, codes: dict[int, list[tuple[str, str]]]) -> dict[str, A
 
 
 def _exit_codes() -> dict[int, list[tuple[str, str]]]:
-    """Return every exit code with the errors that have it, and what these mean."""
-    codes = {0: [("", "done")], 1: [("", "a bug, or `hil doctor` has found something bad")]}
+    """Return the errors that belong to every exit code, with the meaning of each error."""
+    codes = {0: [("", "done")], 1: [("", "an internal error, or `hil doctor` detected a problem")]}
     for error in _kinds(HilError):
         meaning = (error.__doc__ or "").partition("\n")[0]
         codes.setdefault(error.exit_code, []).append((error.__name__, meaning))
@@ -108,18 +108,16 @@ def _kinds(error: type[HilError]) -> Iterator[type[HilError]]:
 
 
 KINDS = ("experiment", "station", "series", "schedule", "fleet", "map")
-"""Kinds of files that have a schema."""
+"""Kinds of YAML files that have a schema."""
 
 
 @app.command()
 def schema(
-    kind: Annotated[
-        str, typer.Argument(help=f"What kind of file it is of: {', '.join(KINDS)}.")
-    ] = "experiment",
+    kind: Annotated[str, typer.Argument(help=f"Kind of file: {', '.join(KINDS)}.")] = "experiment",
 ) -> None:
     """Print the JSON Schema of a spec, station, series, schedule, fleet or map, for editors."""
     if kind not in KINDS:
-        raise SpecError(f"there is no schema of a {kind!r}", hint=did_you_mean(kind, KINDS))
+        raise SpecError(f"no schema for files of kind {kind!r}", hint=did_you_mean(kind, KINDS))
     if kind == "map":
         from hil.importers import map_schema
 

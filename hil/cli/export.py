@@ -1,4 +1,4 @@
-"""`hil export`: an identified model for other programs."""
+"""`hil export`: convert an identified model for other programs."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,25 +17,26 @@ app = typer.Typer()
 def export(
     model: ModelArgument,
     out: Annotated[
-        Path, typer.Option("-o", "--out", help="File to make; for C a folder.", show_default=False)
+        Path, typer.Option("-o", "--out", help="File to write; for C a folder.", show_default=False)
     ],
-    to: Annotated[str, typer.Option("--to", help=f"What to write: {', '.join(TARGETS)}.")] = "c",
+    to: Annotated[str, typer.Option("--to", help=f"Target: {', '.join(TARGETS)}.")] = "c",
     prefix: Annotated[
-        str | None, typer.Option(help="C: what files and symbols begin with; by default hil.")
+        str | None, typer.Option(help="C only: prefix of files and symbols; default: hil.")
     ] = None,
     unchecked: Annotated[
         bool,
         typer.Option(
-            "--unchecked", help="C: without a compiler to check it; URDF: however far off."
+            "--no-check",
+            help="Skip the check: for C without a compiler, for URDF whatever the deviation.",
         ),
     ] = False,
     registry: RegistryOption = REGISTRY,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Write a model for a controller, simulator or runtime, compared with the model first.
+    """Export a model as C, URDF, ONNX, PyTorch or JSON, verified against the original.
 
-    A name in the registry stands for its champion.
+    The name of a registered model selects its champion.
     """
     from hil import api
 
@@ -51,7 +52,7 @@ def export(
 
 
 def _folder(named: str, runs: Path, registry: Path) -> Path:
-    """Return the folder of a model that is there, or else of the champion of that name."""
+    """Return the folder of a model; for a registered name, the folder of its champion."""
     from hil.models import Registry
     from hil.runs import find_model
 
@@ -72,7 +73,7 @@ def _print(export: dict[str, Any]) -> None:
     if export["effort_unit"]:
         joints += f", efforts in {export['effort_unit']}"
     say(f"  {export['parts']}; {joints}")
-    not_run = "not checked: build it and run its self-test where it is used"
+    not_run = "not checked: build the code and run its self-test on the target"
     say(f"  {export['checked'] or not_run}")
     for note in export["notes"]:
         say(f"  note: {note}")
@@ -86,7 +87,7 @@ def _print_urdf(export: dict[str, Any]) -> None:
         "rotor [kg·m²]",
         "friction [N·m]",
         "damping [N·m·s/rad]",
-        "off by [N·m]",
+        "deviation [N·m]",
     )
     print_table(header, _rows(export))
     for note in export["notes"]:
@@ -100,7 +101,7 @@ def _rows(export: dict[str, Any]) -> list[tuple[str, ...]]:
     columns = (export[key] for key in ("joint_names", "joint_types", "com_m", *keys))
     rows = []
     for name, kind, com, *values in zip(*columns, strict=True):
-        # The headings are for turning joints.
+        # The headings contain the units of revolute joints.
         units = ("", " kg", " N", " N·s/m", " N") if kind == "prismatic" else ("",) * 5
         mass, *others = (
             f"{fixed(value, 3)}{unit}" for value, unit in zip(values, units, strict=True)

@@ -1,4 +1,4 @@
-"""`hil fit` and `hil evaluate`: models of recordings, and their errors on others."""
+"""`hil fit` and `hil evaluate`: fit models to recordings and evaluate models on others."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,43 +22,55 @@ app = typer.Typer()
 @app.command()
 def fit(
     sources: SourcesArgument,
-    estimator: Annotated[str, typer.Option("--estimator", "-e", help="Name of the estimator.")],
+    estimator: Annotated[
+        str,
+        typer.Option("--estimator", "-e", help="Name of the estimator; `hil plugins` lists all."),
+    ],
     robot: Annotated[
-        str, typer.Option("--robot", help="Built-in arm or URDF; by default what the data says.")
+        str,
+        typer.Option(
+            "--robot", help="Built-in arm or URDF file; default: the arm named in the recording."
+        ),
     ] = "",
     payload: Annotated[
         str,
         typer.Option(
             "--payload",
-            help="Declared load as MASS_KG or MASS_KG,X_M,Y_M,Z_M; by default what the data says.",
+            help="Declared payload: MASS_KG or MASS_KG,X_M,Y_M,Z_M; default: the payload stored "
+            "in the recording.",
         ),
     ] = "",
     gains: Annotated[
         Path | None,
         typer.Option(
             "--gains",
-            help="File with drive_gains_nm_a (hil gains -o); by default what the data says.",
+            help="YAML file with drive_gains_nm_a, as written by `hil drive-gains -o`; default: "
+            "the drive gains stored in the recording.",
         ),
     ] = None,
     validate: Annotated[
         list[str] | None,
-        typer.Option("--validate", help="Held-out run or MCAP file; repeat for several."),
+        typer.Option("--validate", help="Hold-out run or MCAP file; repeatable."),
     ] = None,
     options: ParametersOption = None,
     out: Annotated[
-        Path, typer.Option("-o", "--out", help="Where the model folder is made.")
+        Path, typer.Option("-o", "--out", help="Folder in which the model folder is created.")
     ] = Path("models"),
     page: Annotated[
-        Path | None, typer.Option("--report", help="Also write an HTML report here.")
+        Path | None, typer.Option("--report", help="Also write an HTML report to this file.")
     ] = None,
     checkpoints: Annotated[
         Path | None,
-        typer.Option("--checkpoints", help="Keep a network's training here, and go on from it."),
+        typer.Option(
+            "--checkpoints",
+            help="Folder for training checkpoints of a network; an "
+            "interrupted training resumes from there.",
+        ),
     ] = None,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Fit an estimator to recordings and judge it on others."""
+    """Fit an estimator to recordings and evaluate the model on other recordings."""
     from hil import api
     from hil.cli.progress import TrainingLine
     from hil.runs import find_source
@@ -87,13 +99,13 @@ def fit(
 
 @contextmanager
 def _resumable(checkpoints: Path | None) -> Iterator[None]:
-    """Say after Ctrl-C that a training was kept, if one was."""
+    """Print a message after Ctrl-C if the state of a network training is stored."""
     try:
         yield
     except KeyboardInterrupt:
         if checkpoints is not None and any(checkpoints.rglob("checkpoint.json")):
-            kept = f"the training is kept in {checkpoints}; the same command goes on with it"
-            typer.echo(kept, err=True)
+            message = f"the training is stored in {checkpoints}; the same command resumes it"
+            typer.echo(message, err=True)
         raise
 
 
@@ -104,7 +116,7 @@ def evaluate(
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Judge a saved model on recordings it has not seen."""
+    """Evaluate a saved model on recordings that it was not fitted to."""
     from hil import api
     from hil.runs import find_model, find_source
 
@@ -118,7 +130,7 @@ def evaluate(
 
 def _print_validation(validation: list[dict[str, Any]]) -> None:
     if not validation:
-        say("not validated; hold data out with: --validate SOURCE")
+        say("not validated; pass a hold-out recording with: --validate SOURCE")
     for one in validation:
         say(f"validated on {one['source']} [{one['unit']}]")
         print_errors("RMSE", [("raw", one["rmse_raw"]), ("filtered", one["rmse_filtered"])])
@@ -129,9 +141,9 @@ def _print_validation(validation: list[dict[str, Any]]) -> None:
 
 
 def print_under_load(under_load: dict[str, Any]) -> None:
-    """Print errors with and without the load of a recording, and whether it is the declared one."""
+    """Print the errors with and without knowledge of the load, and the check of that load."""
     declared, identified = under_load["declared"], under_load["identified"]
-    new = "a load that it was not fitted with, " if under_load["new"] else ""
+    new = "a load that was not in the training data, " if under_load["new"] else ""
     say(f"with {new}{_load(declared)} declared")
     print_errors("RMSE filtered", under_load["rmse"].items())
     if identified is None:
@@ -143,21 +155,21 @@ def print_under_load(under_load: dict[str, Any]) -> None:
         say(f"  the declared load is CONTRADICTED: {'; '.join(under_load['contradictions'])}")
     elif under_load["unless_gains_are_wrong"]:
         say(
-            "  the declared load is neither contradicted nor confirmed: by noise alone "
-            f"{'; '.join(under_load['unless_gains_are_wrong'])},"
+            "  the declared load is neither contradicted nor confirmed. With exact drive gains: "
+            f"{'; '.join(under_load['unless_gains_are_wrong'])}."
         )
         say(
-            f"  but drive gains that are wrong may explain ±{under_load['mass_limit_kg']:.2f} kg; "
-            "calibrated gains (hil gains) or a run with several loads would tell"
+            f"  Wrong drive gains can explain ±{under_load['mass_limit_kg']:.2f} kg; to decide, "
+            "calibrate the gains (hil drive-gains) or record a run with several loads"
         )
     else:
-        say("  the declared load agrees with it")
+        say("  the declared load agrees with the identified load")
     if declared["mass_kg"] and not under_load["mount_observable"]:
-        say("  its declared centre is on the flange's axis: no angle of its mount is checked")
+        say("  the declared centre is on the flange axis, so its mounting angle is not checked")
 
 
 def _load(load: dict[str, Any]) -> str:
     if not load["mass_kg"]:
-        return "nothing"
+        return "no payload"
     centre = ", ".join(fixed(x, 3) for x in load["com_m"])
     return f"{load['mass_kg']:.3f} kg at ({centre}) m"

@@ -1,6 +1,6 @@
-"""`hil fleet`: many robots of one station, run, fitted and compared.
+"""`hil fleet`: run, fit and compare many robots of one station.
 
-`run` and `resume` move the robots; `fit`, `drift` and `report` are functions of the recordings.
+The verbs `run` and `resume` move the robots; `fit`, `drift` and `report` only evaluate recordings.
 """
 
 from collections.abc import Mapping
@@ -35,13 +35,18 @@ FolderArgument = Annotated[
     Path, typer.Argument(help="Folder of the fleet: RUNS/DAY/fleet/NAME.", show_default=False)
 ]
 WorkersOption = Annotated[
-    int, typer.Option("--workers", min=0, help="At a time; 0: one per core of this computer.")
+    int,
+    typer.Option(
+        "--workers",
+        min=0,
+        help="Number of robots processed in parallel; 0: one per core of this computer.",
+    ),
 ]
 
 app = typer.Typer(
     name="fleet",
     no_args_is_help=True,
-    help="Many robots of one station: run, fit, report.",
+    help="Run, fit and compare many robots of one station.",
 )
 
 
@@ -52,7 +57,7 @@ def run(
         list[str],
         typer.Option(
             "--robots",
-            help="Robot name pattern such as 'ur5-*', or a YAML file of real robots with their "
+            help="Name pattern such as 'ur5-*', or a YAML file of real robots with their "
             "addresses; repeatable.",
             show_default=False,
         ),
@@ -65,7 +70,7 @@ def run(
     yes: YesFlag = False,
     json: JsonFlag = False,
 ) -> None:
-    """Run an experiment on many robots of a station; its own `robot` is replaced by each."""
+    """Run an experiment on many robots of a station."""
     from hil.core import cores
     from hil.maintenance import Manner, robots_like, robots_named, spec_for
     from hil.planning import find_station
@@ -94,7 +99,7 @@ def resume(
     yes: YesFlag = False,
     json: JsonFlag = False,
 ) -> None:
-    """Go on with a fleet: with runs that ended early, and robots that were not begun."""
+    """Complete the unfinished runs of a fleet and run the robots that were not started."""
     from hil.core import cores
     from hil.maintenance import Manner, robots_left, robots_named
     from hil.recording import FleetGroup
@@ -113,7 +118,7 @@ def resume(
 def _moves(
     specs: Mapping[str, str], spec: Path, station: str, naming: Path, addresses: Mapping[str, str]
 ) -> "Moves":
-    """Return what a fleet moves: the spec as each robot runs it, and the file that names robots."""
+    """Return the motions of a fleet: the experiment of each robot, and the address file."""
     from hil.maintenance import experiment_for
     from hil.workflow import Moves
 
@@ -121,7 +126,7 @@ def _moves(
         return Moves(naming, addresses, {})
     at = Path(station) if station else None
     first = experiment_for(next(iter(specs.values())), spec.resolve().parent, at, spec)
-    robots = first.station.robots  # the specs differ in nothing else: reading each takes too long
+    robots = first.station.robots  # only the robots differ, so one spec is read
     members = {
         name: replace(first, spec=first.spec.model_copy(update={"robot": name}), robot=robots[name])
         for name in specs
@@ -150,7 +155,7 @@ def _run(fleet: "FleetGroup", manner: "Manner", json: bool) -> None:
     if (error := report.error) is None:
         return
     if report.left or not all(one.measured for one in report.members):
-        hint = f"when the cause is mended: hil fleet resume {report.folder}"
+        hint = f"after repairing the cause: hil fleet resume {report.folder}"
         error.hint = f"{error.hint}; {hint}" if error.hint else hint
     fail(error, json)
 
@@ -159,27 +164,44 @@ def _run(fleet: "FleetGroup", manner: "Manner", json: bool) -> None:
 def fit(
     what: Annotated[
         list[str],
-        typer.Argument(metavar="FOLDER|RUN...", help="A fleet, or runs.", show_default=False),
+        typer.Argument(
+            metavar="FOLDER|RUN...", help="Folder of a fleet, or runs.", show_default=False
+        ),
     ],
-    estimator: Annotated[str, typer.Option("--estimator", "-e", help="Name of the estimator.")],
+    estimator: Annotated[
+        str,
+        typer.Option("--estimator", "-e", help="Name of the estimator; `hil plugins` lists all."),
+    ],
     options: ParametersOption = None,
     workers: WorkersOption = 0,
     dask: Annotated[
-        str, typer.Option("--dask", help="Scheduler of a Dask cluster, in place of processes.")
+        str,
+        typer.Option(
+            "--dask",
+            help="Address of the scheduler of a Dask cluster, to use instead of local processes.",
+        ),
     ] = "",
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", help="Where models go; by default `models` of the fleet."),
+        typer.Option(
+            "-o",
+            "--out",
+            help="Folder for the models; default: `models` in the folder of the fleet.",
+        ),
     ] = None,
     register: Annotated[
         bool,
-        typer.Option("--register", help="As challenger of the robot's name, or first champion."),
+        typer.Option(
+            "--register",
+            help="Register each model under the name of its robot, as "
+            "challenger or first champion.",
+        ),
     ] = False,
     registry: RegistryOption = REGISTRY,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Fit every robot by itself, on processes of this computer or a Dask cluster."""
+    """Fit one model per robot, in processes of this computer or on a Dask cluster."""
     from hil import api
     from hil.cli.progress import MovingLine
     from hil.core import FitError, HilError, RegistryError, checked_address, cores
@@ -203,13 +225,13 @@ def fit(
         for i, one in enumerate(fits):
             try:
                 fits[i] = register_fit(one, Registry(registry))
-            except HilError as refused:  # one damaged name or file must not cost the other robots
+            except HilError as refused:  # the other robots must still be registered
                 fits[i] = replace(one, refused=refused.message)
                 unwritten.append(one.robot)
     if json:
         print_json({"fits": [one.to_dict() for one in fits]})
     else:
-        print_table(("robot", "RMSE [raw]", "criteria", "is", "model"), map(_fit_row, fits))
+        print_table(("robot", "RMSE [raw]", "criteria", "role", "model"), map(_fit_row, fits))
     if failed := [one for one in fits if one.error]:
         lack = "are not registered" if register else "have no model"
         first = f"{failed[0].robot}: {failed[0].error}"
@@ -222,7 +244,7 @@ def fit(
 
 
 def _runs_of(what: list[str], runs: Path) -> tuple[list[Path], Path]:
-    """Return the runs of a fleet's folder, or those that are named; and where models go."""
+    """Return the runs of a fleet or the named runs, and the folder for the fitted models."""
     from hil.core import DataError
     from hil.recording import FleetGroup, RunDirectory
     from hil.runs import find_source
@@ -253,13 +275,14 @@ def drift(
     false_alarm: Annotated[
         float,
         typer.Option(
-            help="Nominal probability with which any of the robots is called changed, if none is."
+            help="Nominal probability that any robot is reported as changed if no robot has "
+            "changed."
         ),
     ] = 0.01,
     registry: RegistryOption = REGISTRY,
     json: JsonFlag = False,
 ) -> None:
-    """Judge the runs of a fleet as probes, each against its robot's champion."""
+    """Test the runs of a fleet for drift, each against the champion of its robot."""
     from hil.core import DataError
     from hil.models import Registry, probe_fleet
 
@@ -267,12 +290,12 @@ def drift(
     if json:
         print_json({"probes": [one.to_dict() for one in probes]})
     else:
-        print_table(("robot", "changed", "what"), map(_drift_row, probes))
+        print_table(("robot", "changed", "result"), map(_drift_row, probes))
     if failed := [one for one in probes if one.error]:
         first = f"{failed[0].robot}: {failed[0].error}"
         error = DataError(
-            f"{len(failed)} of {len(probes)} robots are not judged; {first}",
-            hint="see the robots named above; the others are judged",
+            f"{len(failed)} of {len(probes)} robots were not evaluated; {first}",
+            hint="see the robots named above; the others were evaluated",
         )
         fail(error, json)
 
@@ -288,13 +311,14 @@ def _drift_row(one: "RobotProbe") -> tuple[str, ...]:
 def report(
     folder: FolderArgument,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="The page; by default in the folder.")
+        Path | None,
+        typer.Option("-o", "--out", help="HTML page; default: in the folder of the fleet."),
     ] = None,
     workers: WorkersOption = 0,
     registry: RegistryOption = REGISTRY,
     json: JsonFlag = False,
 ) -> None:
-    """Which robots have drifted or stand out; friction over age and temperature."""
+    """Report drifted and outlying robots, and friction as a function of age and temperature."""
     from hil.core import cores
     from hil.models import Registry, survey_fleet
     from hil.recording import FleetGroup
@@ -309,5 +333,5 @@ def report(
     if rows:
         print_table(("robot", "years", "why"), rows)
     else:
-        typer.echo(f"none of {len(survey.robots)} robots has drifted or stands out")
+        typer.echo(f"no drift and no outlier among {len(survey.robots)} robots")
     typer.echo(f"page: {page}")

@@ -1,4 +1,4 @@
-"""`hil watch`, `pause`, `stop`, `answer` and `robots`: live runs, which other processes execute."""
+"""`hil watch`, `pause`, `stop`, `answer` and `robots`: control of runs in other processes."""
 
 import sys
 from collections.abc import Iterator
@@ -23,19 +23,20 @@ def watch(
     run: Annotated[
         str,
         typer.Argument(
-            help="Run directory, number or name of a run, or `last`; by default the newest live.",
+            help="Run directory, run number, experiment name or `last`; default: the newest "
+            "active run.",
             show_default=False,
         ),
     ] = "",
     runs: RunsOption = Path("runs"),
     exit_code: Annotated[
-        bool, typer.Option("--exit-code", help="End with the run's own exit code.")
+        bool, typer.Option("--exit-code", help="Return the exit code of the run.")
     ] = False,
     json: Annotated[
         bool, typer.Option("--json", help="Print one JSON document a line, as things happen.")
     ] = False,
 ) -> None:
-    """Follow a live run to its end; Ctrl-C ends the watching, not the run."""
+    """Follow an active run until it ends. Ctrl-C ends the display; the run continues."""
     from hil.cli.progress import WatchLines
     from hil.runs import find_run
     from hil.workflow import follow, newest_live
@@ -52,13 +53,13 @@ def watch(
             code = item.get("exit_code", code)
     except KeyboardInterrupt:
         if not json:
-            lines.line(f"not watching any more; the run goes on: hil watch {path}")
+            lines.line(f"stopped watching; the run continues: hil watch {path}")
     if exit_code:
         raise typer.Exit(code)
 
 
 def _while_read(items: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Yield the items until the reader of standard output has gone (`hil watch | head`)."""
+    """Yield the items while standard output has a reader (not after `hil watch | head`)."""
     for item in items:
         if getattr(sys.stdout, "gone", False):
             return
@@ -68,18 +69,18 @@ def _while_read(items: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
 RunOption = Annotated[
     str,
     typer.Argument(
-        help="Run directory, number or name of a run, or `last`; by default the only live one.",
+        help="Run directory, run number, experiment name or `last`; default: the only active run.",
         show_default=False,
     ),
 ]
 WhoOption = Annotated[
-    str, typer.Option("--operator", help="Who asks; recorded. By default the user.")
+    str, typer.Option("--operator", help="Name recorded with the request; default: the login name.")
 ]
-ReasonOption = Annotated[str, typer.Option("--reason", help="Why; recorded.")]
+ReasonOption = Annotated[str, typer.Option("--reason", help="Reason of the request; recorded.")]
 WaitOption = Annotated[
     float,
     typer.Option(
-        "--wait", min=0, metavar="SECONDS", help="How long to wait until the run has obeyed."
+        "--wait", min=0, metavar="SECONDS", help="Longest time to wait until the run has reacted."
     ),
 ]
 
@@ -93,7 +94,7 @@ def pause(
     wait: WaitOption = 60.0,
     json: JsonFlag = False,
 ) -> None:
-    """Pause a live run at its next checkpoint; the arm holds, `hil resume` lets it go on."""
+    """Pause an active run at its next checkpoint; the arm holds its pose until `hil resume`."""
     from hil.workflow import pause_run
 
     path = _run_of(run, runs)
@@ -101,7 +102,7 @@ def pause(
 
 
 def resume_live(run: Path, operator: str, json: bool) -> None:
-    """Let a live run go on that is paused, or has not yet obeyed a pause: `hil resume` of it."""
+    """End the pause of an active run, or cancel a requested pause; used by `hil resume`."""
     from hil.workflow import resume_live_run
 
     _print(resume_live_run(run, who=operator or user_name()), json)
@@ -116,7 +117,7 @@ def stop(
     wait: WaitOption = 60.0,
     json: JsonFlag = False,
 ) -> None:
-    """Stop a live run now; what was recorded is kept, and `hil resume` can go on with it."""
+    """Stop an active run now. The recording is kept, and `hil resume` can complete the run."""
     from hil.workflow import stop_run
 
     path = _run_of(run, runs)
@@ -125,16 +126,20 @@ def stop(
 
 @app.command()
 def answer(
-    run: Annotated[str, typer.Argument(help="Run directory, number or name.", show_default=False)],
+    run: Annotated[
+        str,
+        typer.Argument(help="Run directory, run number or experiment name.", show_default=False),
+    ],
     word: Annotated[
-        Literal["yes", "no"], typer.Argument(metavar="yes|no", help="A no stops the run.")
+        Literal["yes", "no"],
+        typer.Argument(metavar="yes|no", help="Answer to the prompt; `no` stops the run."),
     ],
     runs: RunsOption = Path("runs"),
     operator: WhoOption = "",
     wait: WaitOption = 60.0,
     json: JsonFlag = False,
 ) -> None:
-    """Answer what a live run is asking, such as whether a load is mounted."""
+    """Answer the prompt of an active run, such as whether a payload is mounted."""
     from hil.workflow import answer_run
 
     path = _run_of(run, runs)
@@ -154,7 +159,7 @@ def _print(reaction: "Reaction", json: bool) -> None:
         return
     where = f" at step {reaction.step + 1}/{reaction.steps}" if reaction.step >= 0 else ""
     reason = f": {reaction.reason}" if reaction.reason else ""
-    typer.echo(f"{reaction.run}: {reaction.state or 'asked'}{where}{reason}")
+    typer.echo(f"{reaction.run}: {reaction.state or 'requested'}{where}{reason}")
 
 
 @app.command()
@@ -163,20 +168,20 @@ def robots(
         Path | None,
         typer.Option(
             "--station",
-            help="Station file; by default $HIL_STATION, station.yaml here, or the built-in mock "
-            "bench.",
+            help="Station file; default: $HIL_STATION, station.yaml in the current folder, or the"
+            " built-in mock robots.",
         ),
     ] = None,
     json: JsonFlag = False,
 ) -> None:
-    """List the robots of a station, and which process holds each of them."""
+    """List the robots of a station, and the process that has leased each robot."""
     from hil.workflow import bench
 
     listed = bench(station)
     if json:
         print_json([robot.to_dict() for robot in listed])
         return
-    header = ("robot", "driver", "model", "resource", "held by", "run")
+    header = ("robot", "driver", "model", "resource", "leased by", "run")
     print_table(header, [_row(robot) for robot in listed])
 
 
@@ -184,7 +189,7 @@ def _row(robot: "BenchRobot") -> tuple[str, ...]:
     from hil.core import plain, since_words
 
     resource = robot.resource or ("private" if not robot.problem else "?")
-    held = robot.problem or "nobody"
+    held = robot.problem or "free"
     if robot.holder is not None:
         beat = f"heartbeat {duration(robot.holder.heartbeat_s)} ago"
         content = robot.holder.content

@@ -1,4 +1,4 @@
-"""`hil mock`: simulated robots, and the truth about them."""
+"""`hil mock`: simulated robots and their true parameters."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +10,7 @@ from hil.cli.output import print_json, print_table
 from hil.core import PluginError
 
 USUAL_MODEL = "ur5"
-"""Of mocks that do not say which arm they usually stand for (attribute `model`)."""
+"""Name of the arm of a mock that lacks the attribute `model`."""
 
 app = typer.Typer()
 
@@ -18,28 +18,36 @@ app = typer.Typer()
 @app.command(context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
 def mock(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Which mock; `list` names them.")] = "list",
+    name: Annotated[str, typer.Argument(help="Name of the mock; `list` shows all.")] = "list",
     model: Annotated[
         str | None,
-        typer.Option(help="Built-in arm the mock stands for; without, the mock's usual one."),
+        typer.Option(help="Built-in arm to simulate; default: the usual arm of the mock."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Which individual robot it is.")] = 0,
-    profile: Annotated[str, typer.Option(help="`full` or `ideal` physics.")] = "full",
+    seed: Annotated[
+        int, typer.Option(help="Seed of the individual robot: its parameters vary with the seed.")
+    ] = 0,
+    profile: Annotated[
+        str, typer.Option(help="Physics: `full` or `ideal` (no friction memory, noise or heat).")
+    ] = "full",
     truth: Annotated[
-        Path | None, typer.Option("--truth", help="Write every true parameter to this file.")
+        Path | None,
+        typer.Option("--ground-truth", help="Write the true parameters of the mock to this file."),
     ] = None,
     help_: Annotated[
         bool,
-        typer.Option("--help", "-h", help="Show this, or what the mock NAME is started with."),
+        typer.Option("--help", "-h", help="Show this help, or the options of the mock NAME."),
     ] = False,
     json: JsonFlag = False,
 ) -> None:
-    """List mock robots, start one, or write the truth of one, for scoring what was identified.
+    """List mock robots, start one, or write its ground truth for scoring.
 
-    `hil mock ur --speed 10` runs a UR controller until Ctrl-C; `hil mock ur --help` has the rest.
+    `hil mock ur --speed 10` runs a mock UR controller until Ctrl-C; `hil mock ur --help` lists
+    its options.
     """
     from hil.core import plugins
 
+    if "--truth" in context.args:
+        context.fail("--truth is now --ground-truth.")
     chosen = None if name == "list" else plugins.load("hil.mocks", name)()
     if help_ and not hasattr(chosen, "serve"):
         typer.echo(context.get_help())
@@ -57,8 +65,8 @@ def mock(
         raise PluginError(
             f"the {name} mock runs inside `hil run`; there is nothing to start"
             if truth is None
-            else f"hil mock --truth takes no {' '.join(context.args)}",
-            hint=f"to write its true parameters: hil mock {name} --truth truth.json",
+            else f"hil mock --ground-truth does not accept {' '.join(context.args)}",
+            hint=f"write the true parameters: hil mock {name} --ground-truth truth.json",
         )
     chosen.write_truth(truth, model=model, seed=seed, profile=profile)
     if json:

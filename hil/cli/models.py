@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="models",
     no_args_is_help=True,
-    help="Registered models: versions, champion and challenger, promotion and the way back.",
+    help="Manage registered models: versions, champion and challenger, promotion, rollback.",
 )
 
 
 @app.command("list")
 def list_models(registry: RegistryOption = REGISTRY, json: JsonFlag = False) -> None:
-    """Names, their champions and challengers."""
+    """List model names with their champions and challengers."""
     from hil.models import Registry
 
     home = Registry(registry)
@@ -57,12 +57,13 @@ def list_models(registry: RegistryOption = REGISTRY, json: JsonFlag = False) -> 
 def show(
     name: NameArgument,
     version: Annotated[
-        str, typer.Argument(help="champion, challenger or v3; by default all.")
+        str,
+        typer.Argument(help="Version: champion, challenger or a number such as v3; default: all."),
     ] = "",
     registry: RegistryOption = REGISTRY,
     json: JsonFlag = False,
 ) -> None:
-    """Versions of a name, or all that is known of one."""
+    """List the versions of a model, or show one version in detail."""
     from hil.models import Registry
 
     home = Registry(registry)
@@ -78,7 +79,7 @@ def show(
         return
     role = {aliases.champion: "champion", aliases.challenger: "challenger"}
     print_table(
-        ("version", "is", "estimator", "registered (UTC)", "by", "of run"),
+        ("version", "role", "estimator", "registered (UTC)", "by", "run"),
         [(one.label, role.get(one.number, ""), str(one.facts.get("estimator", "")),
           one.registered[:16], one.by, _run(one.facts)) for one in versions],
     )  # fmt: skip
@@ -87,19 +88,30 @@ def show(
 @app.command("register")
 def register_model(
     model: ModelArgument,
-    name: Annotated[str, typer.Option("--name", help="Name of the models.", show_default=False)],
+    name: Annotated[
+        str,
+        typer.Option(
+            "--name",
+            help="Name of the registered model, such as the name of the robot.",
+            show_default=False,
+        ),
+    ],
     data: Annotated[
         list[str] | None,
-        typer.Option("--data", help="Recording it was fitted to, where it is not of a run."),
+        typer.Option(
+            "--data",
+            help="Recording the model was fitted to, if the model is not part "
+            "of a run; repeatable.",
+        ),
     ] = None,
     challenger: Annotated[
-        bool, typer.Option("--challenger", help="To be compared with the champion.")
+        bool, typer.Option("--challenger", help="Mark the version as challenger of the champion.")
     ] = False,
     registry: RegistryOption = REGISTRY,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Add a model as a version; the same model twice is one version."""
+    """Register a model as a new version. An identical model adds no version."""
     from hil.models import Registry, facts_of
     from hil.runs import find_model, find_source
 
@@ -117,14 +129,17 @@ def register_model(
 @app.command()
 def compare(
     name: NameArgument,
-    version: Annotated[str, typer.Argument(help="challenger or v3.")],
+    version: Annotated[str, typer.Argument(help="Version: challenger or a number such as v3.")],
     sources: SourcesArgument,
-    against: Annotated[str, typer.Option("--with", help="champion or v2.")] = "champion",
+    against: Annotated[
+        str,
+        typer.Option("--with", help="Version to compare with: champion or a number such as v2."),
+    ] = "champion",
     registry: RegistryOption = REGISTRY,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Two versions on the same recordings, which neither was fitted to."""
+    """Compare two versions of a model on recordings that neither version was fitted to."""
     from hil.models import Registry, compare_sources
     from hil.runs import find_source
 
@@ -151,26 +166,34 @@ def compare(
 @app.command()
 def promote(
     name: NameArgument,
-    version: Annotated[str, typer.Argument(help="challenger or v3.")] = "challenger",
+    version: Annotated[
+        str, typer.Argument(help="Version: challenger or a number such as v3.")
+    ] = "challenger",
     on: Annotated[
         list[str] | None,
-        typer.Option("--on", help="Run or MCAP file to compare on; repeat for several."),
+        typer.Option("--on", help="Run or MCAP file to compare on; repeatable."),
     ] = None,
     max_rmse: Annotated[
         float | None,
-        typer.Option("--max-rmse", help="Largest mean RMSE (raw) on each, in the data's unit."),
+        typer.Option(
+            "--max-rmse",
+            help="Largest accepted mean RMSE on each recording, unfiltered, in N·m or A.",
+        ),
     ] = None,
     unless_worse: Annotated[
-        bool, typer.Option("--unless-worse", help="Also where neither errs less for sure.")
+        bool,
+        typer.Option(
+            "--unless-worse", help="Also promote if neither version is significantly better."
+        ),
     ] = False,
-    reason: Annotated[str, typer.Option("--reason", help="For the log.")] = "",
+    reason: Annotated[str, typer.Option("--reason", help="Reason; recorded in the log.")] = "",
     registry: RegistryOption = REGISTRY,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Make a version champion, if it errs less on recordings that neither was fitted to.
+    """Make a version the champion if it has smaller errors on hold-out recordings.
 
-    The first one needs none: there is nothing to compare it with.
+    The first champion needs no recording, because there is no other version to compare with.
     """
     from hil.evaluation import Criterion
     from hil.models import Registry, challenge, require_promoted
@@ -179,8 +202,8 @@ def promote(
     home = Registry(registry)
     if not on and (max_rmse is not None or home.aliases(name).champion):
         raise SpecError(
-            "nothing to judge it on: only a first champion without --max-rmse needs no recording",
-            hint="name a recording neither was fitted to: --on SOURCE",
+            "a recording is required, except for a first champion without --max-rmse",
+            hint="pass a recording that neither version was fitted to: --on SOURCE",
         )
     criteria = () if max_rmse is None else (Criterion("rmse_raw", max_rmse),)
     decision = challenge(
@@ -205,12 +228,17 @@ def promote(
 @app.command()
 def rollback(
     name: NameArgument,
-    to: Annotated[str, typer.Option("--to", help="v2; by default the champion before.")] = "",
-    reason: Annotated[str, typer.Option("--reason", help="For the log.")] = "",
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to", help="Version to restore, such as v2; default: the previous champion."
+        ),
+    ] = "",
+    reason: Annotated[str, typer.Option("--reason", help="Reason; recorded in the log.")] = "",
     registry: RegistryOption = REGISTRY,
     json: JsonFlag = False,
 ) -> None:
-    """Make the champion before the present one champion again."""
+    """Undo a promotion: make the previous champion the champion again."""
     from hil.models import Registry
 
     home = Registry(registry)
@@ -224,7 +252,7 @@ def rollback(
 
 @app.command()
 def log(name: NameArgument, registry: RegistryOption = REGISTRY, json: JsonFlag = False) -> None:
-    """What was done to a name's versions, when, by whom and why."""
+    """Show the history of a model: events, times, users and reasons."""
     from hil.models import Registry
 
     entries = Registry(registry).log(name)
@@ -239,9 +267,9 @@ def log(name: NameArgument, registry: RegistryOption = REGISTRY, json: JsonFlag 
 
 @app.command()
 def check(registry: RegistryOption = REGISTRY, json: JsonFlag = False) -> None:
-    """Compare every file with its digest and every log with its head; rebuild the views.
+    """Verify every file and log of the models by its digest, and rebuild the views.
 
-    Nothing is written for a damaged name.
+    The files of a damaged model are not changed.
     """
     from hil.models import Registry
 
@@ -253,7 +281,9 @@ def check(registry: RegistryOption = REGISTRY, json: JsonFlag = False) -> None:
         print_json({"registry": str(registry), "models": rows})
     else:
         count = sum(one["versions"] for one in rows)
-        typer.echo(f"{registry}: {len(rows)} names, {count} versions: all as they were registered")
+        typer.echo(
+            f"{registry}: {len(rows)} names, {count} versions: all unchanged since registration"
+        )
 
 
 @app.command()
@@ -264,7 +294,8 @@ def repair(
 ) -> None:
     """Rebuild a damaged log from its intact lines and the version folders.
 
-    Copies of the old files stay beside it, in a folder damaged-TIME. A sound log is not changed.
+    The old files of a damaged model are copied to a folder damaged-TIME. A log that is intact is
+    not changed.
     """
     from hil.models import LOG_FILE, Registry
 
@@ -276,17 +307,17 @@ def repair(
         return
     champion = f"champion {_label(now.champion)}" if now.champion else "no champion"
     if done is None:
-        typer.echo(f"{name}: the log is sound, nothing to repair; {champion}")
+        typer.echo(f"{name}: the log is intact, nothing to repair; {champion}")
         return
     entered = ", ".join(f"v{number}" for number in done.registered) or "none"
     say(f"{name}: {done.problem}")
     say(f"  intact lines: {done.lines}; versions added from folders: {entered}")
     if done.lines_set_aside:
         old = done.aside / LOG_FILE
-        say(f"  lines set aside: {done.lines_set_aside}, not in the new log, only in {old}")
+        say(f"  damaged lines: {done.lines_set_aside}, not in the new log, only in {old}")
     if done.lost:
         lost = ", ".join(f"v{number}" for number in done.lost)
-        say(f"  versions lost, without a role from here on: {lost}")
+        say(f"  lost versions, which have no role any more: {lost}")
     say(f"  {champion} (from {done.source}); challenger {_label(now.challenger) or 'none'}")
     say(f"  copies of the old files: {done.aside}")
     if not now.champion:
@@ -298,7 +329,7 @@ def repair(
 
 
 def _roles(home: "Registry", name: str) -> "tuple[Aliases, RegistryError | None]":
-    """Return the roles and the problem of the log; with a problem the roles are unknown."""
+    """Return the roles and the problem of the log; if there is a problem, the roles are unknown."""
     from hil.models import Aliases
 
     problem = home.problem(name)

@@ -1,7 +1,8 @@
-"""Arguments and options that several verbs share, and what they mean.
+"""Arguments and options that several verbs share.
 
-A verb names them in its signature. What they stand for is found by `hil.runs` (runs, recordings and
-models by path, name or number) and by the functions below.
+A verb uses these arguments and options in its signature. The module `hil.runs` finds runs,
+recordings and models by path, name or number; the functions in this module evaluate the other
+options.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,45 +23,49 @@ JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document 
 # Folders
 
 RunsOption = Annotated[
-    Path, typer.Option("--runs", envvar="HIL_RUNS", help="Where run directories are kept.")
+    Path, typer.Option("--runs", envvar="HIL_RUNS", help="Folder of the run directories.")
 ]
 
 RegistryOption = Annotated[
     Path,
-    typer.Option("--registry", envvar="HIL_REGISTRY", help="Folder of the registered models."),
+    typer.Option(
+        "--registry", envvar="HIL_REGISTRY", help="Folder of the registered models (registry)."
+    ),
 ]
 REGISTRY = Path("registry")
 
-# What is read: runs, recordings, models
+# Inputs: runs, recordings, models
 
 RunArgument = Annotated[
     str,
     typer.Argument(
-        help="Run directory, or number or name of a run, or `last`.", show_default=False
+        help="Run directory, run number, experiment name or `last`.", show_default=False
     ),
 ]
 SourcesArgument = Annotated[
     list[str],
     typer.Argument(
         metavar="SOURCE...",
-        help="Runs (directory, name or number) or MCAP files.",
+        help="Runs (directory, number or name) or MCAP files.",
         show_default=False,
     ),
 ]
 ModelArgument = Annotated[
     str,
     typer.Argument(
-        help="Model folder, or a run (directory, name or number) with one model.",
+        help="Model folder, or a run (directory, number or name) with exactly one model.",
         show_default=False,
     ),
 ]
-NameArgument = Annotated[str, typer.Argument(help="Name of the models, such as the robot's.")]
+NameArgument = Annotated[
+    str, typer.Argument(help="Name of the registered model, such as the name of the robot.")
+]
 ParametersOption = Annotated[
     list[str] | None,
-    typer.Option("--set", help="Estimator parameter as NAME=VALUE (YAML value)."),
+    typer.Option("--set", help="Estimator parameter as NAME=VALUE (YAML); repeatable."),
 ]
 
-# What is planned or moved
+# Specs and commissioning
 
 SpecArgument = Annotated[Path, typer.Argument(help="Experiment spec (YAML).", show_default=False)]
 ScheduleArgument = Annotated[Path, typer.Argument(help="Schedule (YAML).", show_default=False)]
@@ -68,8 +73,8 @@ StationOption = Annotated[
     Path | None,
     typer.Option(
         "--station",
-        help="Station file; by default $HIL_STATION, station.yaml beside the spec, or the "
-        "built-in mock bench.",
+        help="Station file; default: $HIL_STATION, station.yaml in the folder of the spec, or the"
+        " built-in mock robots.",
     ),
 ]
 SetOption = Annotated[
@@ -77,25 +82,25 @@ SetOption = Annotated[
     typer.Option(
         "--set",
         metavar="PATH=VALUE",
-        help="Another value in the spec (YAML), such as excitation.waypoints=12; may be repeated.",
+        help="Override a value of the spec (YAML), such as excitation.waypoints=12; repeatable.",
     ),
 ]
 SpeedOption = Annotated[
     str,
     typer.Option(
-        "--speed",
+        "--speed-scale",
         metavar="SHARE",
-        help="Commissioning run: the same program at a share of its speed (10%), without warm-up. "
-        "No fit, no judgement.",
+        help="Commissioning run: the same program at reduced speed, such as 10%. No warm-up, fit "
+        "or verdict.",
     ),
 ]
 FirstOption = Annotated[
     str,
     typer.Option(
-        "--first",
+        "--limit",
         metavar="N|SECONDSs",
-        help="Commissioning run: only the first poses or trajectories (10; nearest poses first) or "
-        "the first seconds (30s). No fit, no judgement.",
+        help="Commissioning run: only the first N poses (nearest first) or trajectories, or the "
+        "first seconds (30s). No fit or verdict.",
     ),
 ]
 
@@ -105,16 +110,17 @@ def load_experiment(
 ) -> "Experiment":
     """Load the experiment of a spec, with the values of `--set`.
 
-    Warns on standard error if the built-in bench is taken and a station beside the spec has its
-    robot.
+    A warning is printed on standard error if the built-in station is used although a station beside
+    the spec has the robot.
 
     Args:
-        spec: Its file, or what has been read from it.
-        station: Station file; None for the default.
-        set_: Texts `PATH=VALUE`.
+        spec: Spec file, or the content of the file if it was read before.
+        station: Station file; None for the default station.
+        set_: Texts of the form `PATH=VALUE`.
 
     Raises:
-        SpecError: As `hil.load`; a wrong value is located at its option.
+        SpecError: The spec or the station has problems, see `hil.load`. The message about an
+            invalid value names its `--set` option.
     """
     from hil.planning import load, passed_over
 
@@ -132,63 +138,66 @@ def _overrides(texts: Sequence[str]) -> dict[str, str]:
         path = path.strip()
         if not (equals and path):
             raise SpecError(
-                f"--set {number}: {text!r} is no PATH=VALUE",
-                hint="such as --set excitation.waypoints=12",
+                f"--set {number}: expected PATH=VALUE, got {text!r}",
+                hint="for example: --set excitation.waypoints=12",
             )
         if path in values:
             raise SpecError(
-                f"--set {number}: {path}: has been given before, "
-                f"by --set {list(values).index(path) + 1}",
-                hint="give each path once",
+                f"--set {number}: {path}: is already set by --set {list(values).index(path) + 1}",
+                hint="pass each path once",
             )
         values[path] = value
     return values
 
 
 def refuse_set(set_: Sequence[str] | None, what: str) -> None:
-    """Refuse `--set` for a file that names specs, any of which a value might be for.
+    """Raise if `--set` is used for a file that names several specs.
 
     Raises:
-        SpecError: There is a value.
+        SpecError: The command line contains at least one `--set`.
     """
     if set_:
         raise SpecError(
-            f"--set is for a single experiment, and this is {what}",
-            hint="change the specs that it names, or give it others",
+            f"--set is only for a single experiment, but this file is {what}",
+            hint="edit the specs that the file names",
         )
 
 
-# Who is at the robot, and what was decided about its motion
+# Operator, waivers, confirmation
 
-OperatorOption = Annotated[str, typer.Option("--operator", help="Who is at the robot; recorded.")]
+OperatorOption = Annotated[
+    str, typer.Option("--operator", help="Name of the operator at the robot; recorded in the run.")
+]
 WaiveOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--waive", metavar="NAME=REASON", help="Accept a failed preflight check; recorded."
+        "--waive",
+        metavar="NAME=REASON",
+        help="Accept a failed preflight check, with a reason; recorded in the run.",
     ),
 ]
 YesFlag = Annotated[
     bool,
     typer.Option(
         "--yes",
-        help="Move a real robot without a prompt (for scripts). The confirmation is recorded in "
+        help="Move a real robot without a prompt, for scripts. The confirmation is recorded in "
         "the run.",
     ),
 ]
 
 
 def waivers_of(texts: Iterable[str] | None) -> dict[str, str]:
-    """Return the reasons of `NAME=REASON` texts by name.
+    """Return the reason of each waiver by name, from texts of the form `NAME=REASON`.
 
     Raises:
-        SpecError: One has no reason, so it waives nothing.
+        SpecError: A waiver has no reason.
     """
     waivers = {}
     for text in texts or ():
         name, _, reason = text.partition("=")
         if not (name and reason.strip()):
             raise SpecError(
-                f"--waive {name!r} gives no reason",
+                f"--waive {name!r} has no reason",
                 hint='for example: --waive "disk=the recording is short"',
             )
         waivers[name] = reason.strip()
@@ -199,15 +208,15 @@ def waivers_of(texts: Iterable[str] | None) -> dict[str, str]:
 
 
 def parse_duration(what: str, text: str, example: str) -> timedelta:
-    """Return the duration that a person has typed, such as `90min` or `2 s`.
+    """Return the duration for a text that a user has typed, such as `90min` or `2 s`.
 
     Args:
-        what: The option or argument, for the message.
-        text: A number and its unit, or several: `1h30min`.
-        example: How it is used, for the hint.
+        what: Name of the option or argument, for the error message.
+        text: Number and unit, or several numbers with units: `1h30min`.
+        example: Example of a valid option, for the hint.
 
     Raises:
-        SpecError: It is no duration.
+        SpecError: The text is not a duration.
     """
     from hil.core import duration_of
 

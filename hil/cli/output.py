@@ -1,7 +1,8 @@
-"""How verbs print: one JSON document with `--json`, otherwise text and tables for people.
+"""Output of the verbs: one JSON document with `--json`, otherwise text and tables.
 
-On a terminal text is wrapped to its width, and a table is laid out so that every digit stays; in a
-pipe nothing is broken. Widths are asked for at each call: a terminal may change at any time.
+On a terminal, text is wrapped to the width of the terminal, and tables are laid out without losing
+digits. In a pipe, no line of text is wrapped. The width of the terminal is read at each call,
+because a terminal may be resized at any time.
 """
 
 import contextlib
@@ -21,7 +22,7 @@ from hil.core import HilError, exit_code_of, json_text, name_text
 
 
 def ignore_from_now_on() -> None:
-    """Ignore Ctrl-C and its like: the work is done; none may change its report or its exit code."""
+    """Ignore Ctrl-C and similar signals, which must no longer change report or exit code."""
     if threading.current_thread() is threading.main_thread():
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             if (number := getattr(signal, name, None)) is not None:
@@ -29,7 +30,7 @@ def ignore_from_now_on() -> None:
 
 
 def print_json(document: Any) -> None:
-    """Print a document; NaN and infinity become null, since JSON has neither."""
+    """Print a document as JSON; NaN and infinity, which JSON does not support, become null."""
     typer.echo(json_text(_finite(document), indent=1))
 
 
@@ -47,9 +48,9 @@ def fail(error: HilError, json: bool) -> None:
     """End with the exit code of an error after the result has been printed.
 
     Raises:
-        HilError: The error itself, which `main` prints.
-        Exit: With `json`, where standard output already holds the one document; the error is
-            printed on standard error.
+        HilError: The error that was passed, which `main` prints.
+        Exit: The option `json` is set, so standard output already contains the document; the error
+            is printed on standard error.
     """
     if not json:
         raise error
@@ -58,18 +59,18 @@ def fail(error: HilError, json: bool) -> None:
 
 
 def say(text: str, margin: str = "") -> None:
-    """Print text, wrapped on a terminal.
+    """Print text that is wrapped on a terminal.
 
     Args:
-        text: One line or several.
-        margin: Written before each line.
+        text: Text of one or more lines.
+        margin: Text that is printed before each line.
     """
     width = out_width()
     typer.echo(indent(fold(text, width and width - len(margin)), margin))
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
-    """Print a line for each warning."""
+    """Print each warning on a separate line."""
     for warning in warnings:
         say(f"warning: {warning}")
 
@@ -83,26 +84,27 @@ def print_run(run: Path) -> None:
 
 
 def fixed(value: float, decimals: int) -> str:
-    """Return a number with so many decimals; what rounds to zero has no sign."""
+    """Return a number with a fixed number of decimals; a number that rounds to zero has no sign."""
     return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
 # Tables
 
 GAP = "  "
-"""Between two columns."""
+"""Text that separates two columns."""
 
 LEAST_PROSE = 20
-"""Fewest columns of the terminal within which the words of a cell are wrapped."""
+"""Minimum width of the last column if its words are wrapped [characters]."""
 
 NARROW_SPACE = "\u202f"
-"""Between thousands; printable, although Python's `isprintable` knows only one space."""
+"""Space character between groups of three digits; printable, although Python's `isprintable`
+accepts only one space."""
 
 
 def print_table(
     header: Sequence[str], rows: Iterable[Sequence[str]], *, right: Collection[int] = ()
 ) -> None:
-    """Print a table, see `table_lines`."""
+    """Print a table in the layout of `table_lines`."""
     for line in table_lines(header, rows, right=right, width=out_width()):
         typer.echo(line)
 
@@ -114,22 +116,23 @@ def table_lines(
     right: Collection[int] = (),
     width: int | None,
 ) -> list[str]:
-    """Return a table as lines that fit a terminal and keep every digit.
+    """Return a table as lines that fit the terminal and keep every digit.
 
-    The first of these layouts that fits is taken. (rich shortens numbers and headings instead: see
-    docs/decisions/0036.)
+    The first layout in the following list that fits the terminal is used. (The library rich
+    shortens numbers and headings instead: see docs/decisions/0036.)
 
-    1. Whole: all columns side by side; always in a pipe.
-    2. Wrapped: the words of the last column are wrapped within it, as in lists of descriptions.
-    3. Blocks: as many columns as fit, then the next ones below them. Each block begins with the
-       first column, which names the rows; it must be narrow, and no name may occur twice.
-    4. Row by row: the first cell, below it `heading: cell` for all that are not empty.
+    - Whole table: all columns are side by side. In a pipe, this layout is always used.
+    - Wrapped: the words of the last column are wrapped within it, as in lists of descriptions.
+    - Blocks: as many columns as fit are printed, and the next columns follow below. In the layout
+      with blocks, each block begins with the first column, which names the rows; the first column
+      must be narrow, and its names must be unique.
+    - Row by row: the first cell is followed by `heading: cell` for all cells that are not empty.
 
     Args:
-        header: Headings; all empty where rows are a name and a value.
-        rows: Cells. Control characters in them are shown as escapes.
-        right: Indices of the columns that are aligned at their right ends, such as numbers.
-        width: Columns of the terminal; None in a pipe.
+        header: Headings of the columns; all empty if the rows are names and values.
+        rows: Cells. Control characters in the cells are shown as escape sequences.
+        right: Indices of the right-aligned columns, such as columns of numbers.
+        width: Width of the terminal in columns; None in a pipe.
     """
     table = [[_printable(text) for text in row] for row in (header, *rows)]
     wide = [max(map(len, column)) for column in zip(*table, strict=True)]
@@ -196,12 +199,12 @@ def _row_by_row(table: Sequence[Sequence[str]], width: int) -> Iterator[str]:
 def print_errors(
     heading: str, errors: Iterable[tuple[str, Sequence[float | None]]], *, mean: bool = True
 ) -> None:
-    """Print errors joint by joint.
+    """Print one error per joint in each row.
 
     Args:
-        heading: Of the first column: the figure and its unit.
-        errors: A name and an error per joint, None where there is none.
-        mean: Whether to add the mean over the joints.
+        heading: Heading of the first column: the name of the metric and its unit.
+        errors: Name of each row and its errors per joint; None for a row without errors.
+        mean: Whether to add a column with the mean over the joints.
     """
     rows, joints = [], 0
     for name, values in errors:
@@ -218,7 +221,7 @@ def print_errors(
 
 
 def fold(text: str, width: int | None) -> str:
-    """Return text wrapped between words; unchanged without a width. Long words, as paths, stay."""
+    """Return text wrapped between words, but not within long words; unchanged without a width."""
     if width is None:
         return text
     lines = (
@@ -229,15 +232,16 @@ def fold(text: str, width: int | None) -> str:
 
 
 def out_width() -> int | None:
-    """Return the columns to print within; None in a pipe.
+    """Return the width of standard output in columns; None in a pipe.
 
-    A pipe ignores $COLUMNS, which every Python that has loaded readline hands down.
+    The variable $COLUMNS is ignored for a pipe, because every Python process that has loaded
+    readline sets this variable for its child processes.
     """
     return width_of(sys.stdout)
 
 
 def width_of(stream: TextIO) -> int | None:
-    """Return the columns of the terminal that a stream is; None if it is none."""
+    """Return the width of a stream's terminal in columns; None if the stream is not a terminal."""
     if not stream.isatty():
         return None
     columns = 0

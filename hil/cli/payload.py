@@ -1,4 +1,4 @@
-"""`hil payload`: the load in recordings, with its uncertainty."""
+"""`hil payload`: payload of recordings, with its uncertainty."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,8 +19,8 @@ def payload(
         str,
         typer.Option(
             "--friction",
-            help="What of the model's friction may differ on that day: model (nothing), offset, "
-            "scale (offset and factor), or auto, which lets the recording choose.",
+            help="Friction parameters to re-estimate with the payload: model (none), offset, "
+            "scale (offset and factor), or auto (selected by cross-validation).",
         ),
     ] = "auto",
     bare: Annotated[
@@ -28,7 +28,8 @@ def payload(
         typer.Option(
             "--bare",
             metavar="RUN",
-            help="At rest: the same program run with nothing mounted; much smaller errors.",
+            help="Run of the same static program without a payload; reduces the errors "
+            "considerably. Repeatable.",
         ),
     ] = None,
     gain_percent: Annotated[
@@ -37,16 +38,16 @@ def payload(
             "--gain-percent",
             min=0.0,
             max=100.0,
-            help="How well drive gains are known (one standard deviation), for the intervals; by "
-            "default 5, 1 for gains from hil gains; torques have none.",
+            help="Standard deviation of the drive gains [%], for the intervals; default: 5, or 1 "
+            "for gains of `hil drive-gains`. Unused for torques.",
         ),
     ] = None,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Mass, centre of mass and inertia of the load in recordings, with their uncertainty.
+    """Identify mass, centre of mass and inertia of a tool or other payload from recordings.
 
-    A recording of an arm at rest (experiments/ur5_weigh.yaml) tells mass and centre alone.
+    A static recording (experiments/ur5_weigh.yaml) determines only mass and centre of mass.
     """
     from hil import api
     from hil.runs import find_model, find_source
@@ -64,12 +65,12 @@ def payload(
         return
     at_rest = estimate["friction"] == "rest"
     if other := estimate["other_arm"]:
-        say(f"NOT TO BE RELIED ON: {other}; every arm has gains and masses of its own")
+        say(f"NOT RELIABLE: {other}; drive gains and masses differ between arms")
     if at_rest:
-        say(f"load weighed at rest, at {estimate['samples']} poses")
+        say(f"payload from gravity at {estimate['samples']} poses")
     else:
         blocks = f"{estimate['blocks']} independent blocks of time"
-        say(f"load in {estimate['samples']} samples, {blocks}")
+        say(f"payload from {estimate['samples']} samples, {blocks}")
     say(f"friction: {FRICTION[estimate['friction']]}")
     parameters = estimate["parameters"]
     print_table(
@@ -80,19 +81,22 @@ def payload(
     print_errors(
         f"RMS error [{estimate['unit']}]",
         [
-            ("with this load", estimate["residual"]),
-            ("with nothing", estimate["residual_without_load"]),
+            ("with payload", estimate["residual"]),
+            ("without", estimate["residual_without_load"]),
         ],
     )
     if estimate["bounded"]:
-        say("  note: the best fit is no body that exists; this is the best one that is")
+        say(
+            "  note: the best fit of all is not physically consistent; this is the best consistent "
+            "one"
+        )
     for note in estimate["notes"]:
         say(f"  note: {note}")
     mass = parameters[0]
     if mass["interval_95"][0] <= 0.0:
         say(
-            f"\nno load shows: {mass['value']:.3f} kg, and nothing up to "
-            f"{mass['interval_95'][1]:.3f} kg can be told from none"
+            f"\nno payload detected: {mass['value']:.3f} kg; up to "
+            f"{mass['interval_95'][1]:.3f} kg cannot be distinguished from none"
         )
         return
     determined = any(one["determined"] for one in parameters[:4])
@@ -103,9 +107,9 @@ def payload(
 
 
 FRICTION = {
-    "model": "as the model has it",
-    "offset": "the model's and an offset per joint",
-    "scale": "the model's times a factor and an offset per joint",
+    "model": "that of the model",
+    "offset": "that of the model plus an offset per joint",
+    "scale": "that of the model times a factor plus an offset per joint",
     "rest": "cancelled between the two approaches of every pose",
 }
 
@@ -113,7 +117,7 @@ FRICTION = {
 def _row(parameter: dict[str, Any]) -> tuple[str, ...]:
     name = f"{parameter['name']} [{parameter['unit']}]"
     if parameter["value"] is None:
-        return name, "–", "–", "does not show", "no"
+        return name, "–", "–", "not observable", "no"
     decimals = {"kg": 3, "m": 4}.get(parameter["unit"], 5)
     numbers = (parameter["value"], parameter["std_error"], *parameter["interval_95"])
     value, error, low, high = (fixed(number, decimals) for number in numbers)
@@ -121,14 +125,14 @@ def _row(parameter: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _declarations(load: dict[str, Any]) -> tuple[str, ...]:
-    """Return the load as a spec, an import map and the option `--payload` declare it."""
+    """Return the payload in the formats of a spec, an import map and the option `--payload`."""
     com = [fixed(x, 4) for x in load["com_m"]]
     mass = f"{load['mass_kg']:.3f}"
     inertia = ""
     if None not in load["inertia_kgm2"]:
         inertia = f", inertia_kgm2: [{', '.join(fixed(x, 5) for x in load['inertia_kgm2'])}]"
     body = f"{{mass_kg: {mass}, com_m: [{', '.join(com)}]{inertia}}}"
-    without = " (which leaves the inertia out)" if inertia else ""
+    without = " (without the inertia)" if inertia else ""
     return (
         f"for a spec:  loads: [{body}]",
         f"for a map:   payload: {body}",

@@ -1,4 +1,4 @@
-"""`hil plan`: what a run would do, before the robot moves."""
+"""`hil plan`: show the plan of a run without moving the robot."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -39,23 +39,24 @@ def plan(
         Path | None,
         typer.Option(
             "--picture",
-            help="Where the picture of the motion goes; by default NAME.plan.svg here.",
+            help="SVG file for the drawing of the motion; default: NAME.plan.svg in the current "
+            "folder.",
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Also write the plan itself (JSON).")
+        Path | None, typer.Option("-o", "--out", help="Also write the plan to this JSON file.")
     ] = None,
     connect: Annotated[
         bool,
         typer.Option(
             "--connect",
-            help="Plan from where the robot stands now; without it only a robot on a virtual "
-            "clock is asked.",
+            help="Connect to the robot and plan from its current pose. Robots on a virtual clock "
+            "are always connected.",
         ),
     ] = False,
     json: JsonFlag = False,
 ) -> None:
-    """Show what `hil run` would do with the same options: steps, ranges, margins; move nothing."""
+    """Show the plan of a run without moving: joint ranges, margins to limits, duration."""
     _require_svg(picture)
     from hil.core import json_document, read_source, write_replacing
     from hil.planning import commissioning_of
@@ -106,10 +107,10 @@ def plan(
 
 
 def _require_svg(picture: Path | None) -> None:
-    """Refuse other formats before the plan is made, which may take a minute."""
+    """Raise for picture formats other than SVG before planning, which may take a minute."""
     if picture is not None and picture.suffix.lower() != ".svg":
         raise SpecError(
-            f"--picture {picture}: the picture of a plan is an SVG file",
+            f"--picture {picture}: the picture must be an SVG file",
             hint=f"--picture {picture.with_suffix('.svg')}",
         )
 
@@ -123,7 +124,7 @@ def _preview(experiment: "Experiment", connect: bool) -> "tuple[Plan, PlanPrevie
 
 
 def _condition(facts: Mapping[str, Any]) -> str:
-    """Return the condition number; infinite (None) if the motion cannot tell parameters apart."""
+    """Return the condition number; "infinite" if the motion does not determine all parameters."""
     value = facts["condition_number"]
     return "infinite" if value is None else f"{value:.1f}"
 
@@ -131,7 +132,7 @@ def _condition(facts: Mapping[str, Any]) -> str:
 def _plan_series(
     source: "Source", station: Path | None, part: "Commissioning | None", connect: bool, json: bool
 ) -> None:
-    """Show what each experiment of a series would do, and how long all of them take."""
+    """Print the plan of each experiment of a series, and the total duration."""
     from hil.workflow import load_series
 
     experiments = load_series(source, station).experiments
@@ -152,9 +153,9 @@ def _plan_series(
         (each.spec.name, each.spec.robot, *_amounts(facts))
         for each, facts in zip(experiments, previews, strict=True)
     ]
-    rows.append(("together", "", *_amounts(total)))
+    rows.append(("total", "", *_amounts(total)))
     print_table(("experiment", "robot", "motion", "recording"), rows)
-    typer.echo(f"of motion alone; margins and pictures: hil plan {experiments[0].spec_source}")
+    typer.echo(f"durations of motion only; for margins: hil plan {experiments[0].spec_source}")
     for each, facts in zip(experiments, previews, strict=True):
         print_warnings(f"{each.spec.name}: {warning}" for warning in facts["warnings"])
 

@@ -1,12 +1,13 @@
-"""Progress on a terminal or in a pipe: one line that moves on a terminal, lines now and then else.
+"""Progress display: one line that is replaced on a terminal, and separate lines in a pipe.
 
-`ProgressLines` shows a run with everything in it. The displays of its parts stand alone where a
-verb does only that: `ExcitationLine`, `TrainingLine`, `StudyLine`. `WatchLines` shows the run of
-another process. All of them write to a `MovingLine`.
+The class `ProgressLines` shows the progress of a complete run. The classes `ExcitationLine`,
+`TrainingLine` and `StudyLine` show single parts of a run, also for verbs that execute only this
+part. The class `WatchLines` shows the progress of a run of another process. All of these classes
+write to a `MovingLine`.
 
-News stays on the screen as a line of its own: a stage, a pause and its reason, going on, a question
-to the operator, why the run stops. In every moving line what matters most comes first, since a
-narrow terminal cuts the end.
+News remains on the screen as separate lines: a stage, a pause and its reason, the end of a pause, a
+prompt, the reason for a stop. A moving line begins with the most important text, because a narrow
+terminal cuts off its end.
 """
 
 from __future__ import annotations
@@ -42,14 +43,16 @@ if TYPE_CHECKING:
 
 
 class MovingLine:
-    """A line of a terminal that is replaced in place; lines that stay are written above it.
+    """Terminal line that is replaced in place; permanent lines are written above it.
 
-    The moving line never wraps: it is cut to the width. As a context it is removed at the end,
-    however that comes. In a pipe only lines that stay are written.
+    The moving line is never wrapped, but cut to the width of the terminal. At the end of its
+    context, also after an error, the moving line is removed. In a pipe, only permanent lines are
+    written.
 
     Args:
-        stream: By default standard error.
-        moves: Whether the stream is a terminal; by default it is asked.
+        stream: Output stream of the line; by default standard error.
+        moves: Whether the stream is a terminal, on which the line can be replaced; by default
+            detected from the stream.
     """
 
     def __init__(self, stream: TextIO | None = None, *, moves: bool | None = None) -> None:
@@ -62,7 +65,7 @@ class MovingLine:
         return self._own_stream or sys.stderr
 
     def show(self, text: str) -> None:
-        """Replace the text of the line; nothing in a pipe."""
+        """Replace the text of the moving line; no effect in a pipe."""
         if not self.moves:
             return
         room = self._columns() - 1
@@ -70,12 +73,12 @@ class MovingLine:
         self._open = True
 
     def say(self, text: str) -> None:
-        """Write a line that stays, wrapped between words on a terminal."""
+        """Write a permanent line, wrapped between words on a terminal."""
         self._write((fold(text, self._columns()) if self.moves else text) + "\n")
         self._open = False
 
     def end(self, *, keep: bool = False) -> None:
-        """Remove the line, or keep it and begin another below it."""
+        """Remove the moving line, or keep it and start a new line below it."""
         if self._open:
             self._stream.write("\n" if keep else "\r\x1b[K")
             self._stream.flush()
@@ -100,11 +103,11 @@ PIPED_EVERY_S = 10.0
 TERMINAL_EVERY_S = 0.1
 
 ALIVE_EVERY_S = 120.0
-"""In a pipe, a line that says the same again only shows that work goes on [s]."""
+"""Interval in a pipe between lines that only show that the process is still working [s]."""
 
 
 class ProgressLines:
-    """An observer of the engine that prints the progress of a run."""
+    """Observer of the engine that prints the progress of a run."""
 
     def __init__(self) -> None:
         self._line = MovingLine()
@@ -117,7 +120,7 @@ class ProgressLines:
         self._training: TrainingLine | None = None
 
     def notify(self, event: Event) -> None:
-        """Print the event if it is news, and the progress of the run if it is time to."""
+        """Print an event if it is news; print the progress of the run at regular intervals."""
         self._standing.take(event)
         kind = event.get("kind")
         if kind == "study" and event.get("study"):
@@ -140,7 +143,7 @@ class ProgressLines:
 
     def _of_the_run(self, event: Event) -> None:
         kind = event.get("kind")
-        if kind == "study":  # the last one is over
+        if kind == "study":  # end of the studies
             self._line.end()
         elif kind == "fit_note":
             self._line.say(f"{_fit_words(event)}: {event['text']}")
@@ -174,7 +177,7 @@ class ProgressLines:
             self._line.say(f"running again: {run.reason}" if run.reason else "running again")
 
     def _preflight(self, event: Event) -> None:
-        """Print the waived checks, and the robot's own, each on a line."""
+        """Print the waived checks and the checks of the driver, one per line."""
         checks = event.get("checks", [])
         self._line.say(f"preflight: {sum(bool(each['passed']) for each in checks)} checks passed")
         for each in checks:
@@ -183,23 +186,23 @@ class ProgressLines:
                 self._line.say(f"  {each['name']}{waived}: {each['message']}")
 
     def _announce(self) -> None:
-        """Confirm a request for a pause at once: the next checkpoint may be long off."""
+        """Confirm a requested pause immediately, because the next checkpoint may be far away."""
         question = self._standing.prompt
         if question and self._line.moves:
-            return  # the console says so, and asks again
+            return  # the console prints this and repeats the prompt
         before, self._pausing = self._pausing, self._standing.pausing
         if self._pausing and not before:
-            moment = "once the question is answered" if question else "at the next checkpoint"
+            moment = "after the answer to this prompt" if question else "at the next checkpoint"
             self._line.say(f"pausing {moment}: {self._pausing}")
 
     def _prompt(self, event: Event) -> None:
-        # On a terminal the console prints the question; only the line must be out of its way.
+        # On a terminal the console prints the prompt, so the moving line must end first.
         if event.get("answered_by"):
             self._line.say(f"{answer_words(event)}: {event.get('text', '')}")
         elif self._line.moves:
             self._line.end(keep=True)
         else:
-            self._line.say(f"asking: {self._standing.prompt}")
+            self._line.say(f"prompt: {self._standing.prompt}")
 
     def _moving(self) -> None:
         run, now, moves = self._standing, time.monotonic(), self._line.moves
@@ -214,7 +217,7 @@ def _fit_words(event: Event) -> str:
 
 
 def _ended_words(fit: str, seconds: float, *, failed: bool = False) -> str:
-    """Return the line that a finished fit leaves, the same for those of runs and of studies."""
+    """Return the line about a finished fit, in the same format for runs and studies."""
     return f"{fit}{' failed' if failed else ''} ({duration(seconds)})"
 
 
@@ -244,12 +247,12 @@ FASTER_THAN_REAL = 1.5
 
 
 def _speed(run: Standing) -> str:
-    """Return how much faster than real time the run is, once that is known."""
+    """Return how much faster than real time the run is; empty if the factor is small or unknown."""
     return f"{run.pace:.0f}× real time" if run.pace > FASTER_THAN_REAL else ""
 
 
 class _Display:
-    """A display of a part of a run or of that part alone; a context at whose end it is removed."""
+    """Progress display of one part of a run; the line is removed at the end of the context."""
 
     def __init__(self, line: MovingLine | None = None) -> None:
         self._line = line or MovingLine()
@@ -262,7 +265,7 @@ class _Display:
 
 
 class ExcitationLine(_Display):
-    """Progress of the optimisation of trajectories; in a pipe nothing but notes."""
+    """Progress of the optimisation of trajectories; in a pipe, only the notes of the optimiser."""
 
     EVERY_S = 0.2
 
@@ -271,7 +274,7 @@ class ExcitationLine(_Display):
         self._often = Throttle(self.EVERY_S, at_once=True)
 
     def __call__(self, advance: Advance) -> None:
-        """Show it, if it is time to."""
+        """Show the progress of the optimisation at regular intervals."""
         if advance.note:
             self._line.say(f"note: {advance.note}")
         elif self._line.moves and self._often.due():
@@ -289,18 +292,19 @@ class ExcitationLine(_Display):
 
 
 class TrainingLine(_Display):
-    """Progress of the training of a network, with its curve; in a pipe a sign of life.
+    """Progress of the training of a network, with its curve; in a pipe, one line at long intervals.
 
-    Called with every epoch; a fit that trains several networks shows one after the other.
+    The trainer calls this object with every epoch. If a fit trains several networks, the networks
+    are shown one after the other.
 
     Args:
-        fit: Begins the lines in a pipe: which fit it is.
-        line: Where it is shown.
+        fit: Text at the beginning of each line in a pipe, which identifies the fit.
+        line: Moving line for the output; by default a new line.
     """
 
     EVERY_S = 0.2
     CURVE = 16
-    """Characters of the curve."""
+    """Width of the training curve [characters]."""
 
     def __init__(self, fit: str = "", line: MovingLine | None = None) -> None:
         super().__init__(line)
@@ -309,20 +313,20 @@ class TrainingLine(_Display):
         self._often = Throttle(self.EVERY_S if moves else ALIVE_EVERY_S, at_once=moves)
         self._validation: list[float] = []
         self._since = (time.monotonic(), 0)
-        """Time and number of the first epoch that this process has trained."""
+        """Time and number of the first epoch that this process trained."""
 
     def began(self, what: str) -> None:
-        """Show it at once, in a pipe too: without it there would be nothing for minutes."""
+        """Show the start of a training at once, also in a pipe; an epoch may take minutes."""
         self._show(what)
 
     def __call__(self, epoch: Told) -> None:
-        """Show it, if it is time to."""
+        """Show the training epoch at regular intervals."""
         from hil.networks import sparkline
 
         if not self._validation or epoch.epoch <= len(self._validation):
             self._validation = []
             self._since = (time.monotonic(), epoch.epoch)
-        # A training that is taken up again begins with a later epoch than the first.
+        # A resumed training does not begin with epoch 1.
         missing = epoch.epoch - 1 - len(self._validation)
         self._validation += [epoch.validation] * (missing + 1)
         if not self._often.due():
@@ -351,10 +355,10 @@ class TrainingLine(_Display):
 
 
 class StudyLine(_Display):
-    """Progress of studies; each of their fits leaves a line."""
+    """Progress of studies; each finished fit of a study is a permanent line."""
 
     NEWS_EVERY_S = 1.0
-    """In a pipe, the next step is printed at once, but not more often than this [s]."""
+    """Minimum time in a pipe between lines about different steps [s]."""
 
     def __init__(self, line: MovingLine | None = None) -> None:
         super().__init__(line)
@@ -362,7 +366,7 @@ class StudyLine(_Display):
         self._text = ""
 
     def show(self, study: str, what: str, done: int, total: int) -> None:
-        """Show where a study is, if it is time to."""
+        """Show the progress of a study at regular intervals."""
         text, now = f"{study}: {what}", time.monotonic()
         if self._line.moves:
             wait = 0.0 if text != self._shown else TERMINAL_EVERY_S
@@ -381,11 +385,11 @@ class StudyLine(_Display):
             self._line.say(f"{text} {share}".rstrip())
 
     def ended(self, study: str, ended: Ended) -> None:
-        """Leave a line for a fit that is done."""
+        """Print a permanent line about a finished fit."""
         name = " ".join(filter(None, (ended.name, ended.failed)))
         fit = f"fit {ended.number} of {ended.total}: {name}"
         self._line.say(_ended_words(fit, ended.seconds))
-        if self._text:  # the next news may take minutes
+        if self._text:  # the next update may take minutes
             self._line.show(self._text)
 
 
@@ -393,18 +397,19 @@ Item = Mapping[str, Any]
 
 
 class WatchLines:
-    """Prints the items of `hil.workflow.follow`, a run of another process.
+    """Printer for the items of `hil.workflow.follow`, which describe a run of another process.
 
     Args:
-        run: What to call the run in commands.
-        terminal: Whether lines can be replaced.
+        run: Name of the run in the printed commands.
+        terminal: Whether the output is a terminal, on which lines can be replaced.
         now: Monotonic clock [s].
     """
 
     SILENT_AFTER_S = 5.0
 
     QUIET = frozenset({"checkpoint", "dwell", "state", "payload"})
-    """Events that a terminal shows in its moving line, if at all."""
+    """Kinds of events that are not printed as lines on a terminal, because the moving line shows
+    them."""
 
     def __init__(
         self, run: str, *, terminal: bool, now: Callable[[], float] = time.monotonic
@@ -416,7 +421,7 @@ class WatchLines:
         self._shown = ""
 
     def show(self, item: Item) -> None:
-        """Print one item, if it is time to."""
+        """Print one item of news; print progress at regular intervals."""
         if item["kind"] == "event":
             event = item["event"]
             if not (self._line.moves and event["kind"] in self.QUIET):
@@ -427,7 +432,7 @@ class WatchLines:
             self.line(end_line(item))
 
     def line(self, text: str) -> None:
-        """Print a line that stays."""
+        """Print a permanent line."""
         self._line.say(text)
 
     def _live(self, text: str) -> None:
@@ -439,13 +444,13 @@ class WatchLines:
 
 
 def live_line(view: Item) -> str:
-    """Return where the run is, on one line."""
+    """Return the present state of the run as one line."""
     from hil.workflow import standing_in
 
     run = standing_in(view)
     where = step_words(run) or run.stage or "preparing"
     if run.prompt:
-        return f"asks: {run.prompt}  {where}"
+        return f"prompt: {run.prompt}  {where}"
     if run.state in ENDING:
         return run.stage if run.state == "done" and run.stage else state_words(run)
     if run.state != "running":
@@ -458,7 +463,7 @@ def live_line(view: Item) -> str:
 
 
 def end_line(end: Item) -> str:
-    """Return how the run ended, and what to do next."""
+    """Return the final status of the run and the next command."""
     text = f"{end['run']}: {end['status']}"
     if end["reason"]:
         text += f": {end['reason']}"

@@ -1,4 +1,4 @@
-"""`hil prune`: delete runs by a policy, none that a registered model came from."""
+"""`hil prune`: delete old runs, except runs that a registered model was fitted to."""
 
 from collections import Counter
 from pathlib import Path
@@ -23,41 +23,48 @@ def prune(
         list[str] | None,
         typer.Argument(
             metavar="[QUERY]...",
-            help="Only runs that meet it, as of `hil runs`; by default whatever they are.",
+            help="Conditions as in `hil runs`; default: all runs.",
             show_default=False,
         ),
     ] = None,
     older_than: Annotated[
-        str, typer.Option("--older-than", metavar="AGE", help="Started longer ago, such as 180d.")
+        str,
+        typer.Option(
+            "--older-than", metavar="AGE", help="Only runs older than this, such as 180d."
+        ),
     ] = "",
     keep: Annotated[
         int | None,
-        typer.Option(
-            "--keep", min=1, help="All but the newest so many of each robot and experiment."
-        ),
+        typer.Option("--keep", min=1, help="Keep the newest N runs of each robot and experiment."),
     ] = None,
     recordings_only: Annotated[
-        bool, typer.Option("--recordings-only", help="Documents, models and reports stay.")
+        bool,
+        typer.Option(
+            "--recordings-only", help="Delete recordings only; keep documents, models and reports."
+        ),
     ] = False,
     interrupted: Annotated[
-        bool, typer.Option("--interrupted", help="Also runs that were interrupted.")
+        bool, typer.Option("--interrupted", help="Also delete interrupted runs.")
     ] = False,
     registry: Annotated[
         list[Path] | None,
         typer.Option(
             "--registry",
-            help="Folder of registered models beside those noted in the runs, $HIL_REGISTRY, "
-            "`registry` here and beside the runs. Repeatable.",
+            help="Additional registry whose models protect their runs; repeatable. Registries "
+            "noted in the runs, $HIL_REGISTRY and folders named `registry` are always used.",
         ),
     ] = None,
     no_registry: Annotated[
-        bool, typer.Option("--no-registry", help="Delete although no registry is known.")
+        bool, typer.Option("--no-registry", help="Delete even if no registry is found.")
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Delete; otherwise it is only said.")] = False,
+    yes: Annotated[
+        bool,
+        typer.Option("--yes", help="Delete the runs; without this option they are only listed."),
+    ] = False,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Delete old runs, none that a registered model came from; says only which without --yes."""
+    """Delete old runs or only their recordings; without --yes, only list what would be deleted."""
     from hil.models import known_registries
     from hil.runs import Policy, decide, leftovers, remove
 
@@ -66,8 +73,8 @@ def prune(
     registries = known_registries(runs, registry or ())
     if yes and not registries and not no_registry:
         raise RegistryError(
-            "no registry is known: runs that models came from would go",
-            hint="name it with --registry DIR; if there is none: --no-registry",
+            "no registry was found: runs with registered models would also be deleted",
+            hint="pass the registry with --registry DIR; if there is none, pass --no-registry",
         )
     decisions = decide(runs, policy, registries)
     left = leftovers(runs)
@@ -92,25 +99,22 @@ def _print(
 ) -> None:
     going = [one for one in decisions if one.goes]
     if going:
-        print_table(("goes", "size"), [(str(one.run), size(one.size)) for one in going])
+        print_table(("delete", "size"), [(str(one.run), size(one.size)) for one in going])
     guarded = [one for one in decisions if one.guarded]
     if guarded:
-        print_table(("stays", "because"), [(str(one.run), one.why) for one in guarded])
+        print_table(("keep", "reason"), [(str(one.run), one.why) for one in guarded])
     others = Counter(one.why for one in decisions if one.why and not one.guarded)
     for why, count in others.items():
-        say(f"{count} more {'stays' if count == 1 else 'stay, each'} because {why}")
+        say(f"{count} more {'run is kept' if count == 1 else 'runs are kept, each'} because {why}")
     if not document["registries"] and not refuses:
-        say("no registry is known: no run is kept for the sake of a model")
+        say("no registry was found: registered models protect no run")
     what = "the recordings of " if document["policy"]["recordings_only"] else ""
     total = f"{what}{len(going)} run{'s'[: len(going) != 1]}, {size(document['bytes'])}"
     if document["deleted"]:
         say(f"deleted: {total}")
         return
-    say(f"would be deleted: {total}; nothing was" + ("" if refuses else ", --yes does it"))
+    say(f"would be deleted: {total}; nothing was deleted" + ("" if refuses else " without --yes"))
     if refuses:
-        say(
-            "no registry is known, so --yes will refuse: name one with --registry DIR, or add "
-            "--no-registry"
-        )
+        say("no registry was found, so --yes is refused: pass --registry DIR or --no-registry")
     if left:
-        say(f"{left} that an earlier deletion has left half done would go, too")
+        say(f"would also be deleted: {left} incompletely deleted earlier")

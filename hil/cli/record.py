@@ -1,4 +1,4 @@
-"""`hil record`: record a robot that hil does not drive."""
+"""`hil record`: record a robot that a different program drives."""
 
 from pathlib import Path
 from typing import Annotated
@@ -23,37 +23,40 @@ app = typer.Typer()
 
 @app.command()
 def record(
-    robot: Annotated[str, typer.Option("--robot", help="Its name in the station.")],
+    robot: Annotated[str, typer.Option("--robot", help="Name of the robot in the station.")],
     station: StationOption = None,
     until: Annotated[
         str,
         typer.Option(
-            "--until", metavar=PROGRAM_STOPS, help="End when the robot's program has stopped."
+            "--until", metavar=PROGRAM_STOPS, help="End the recording when the robot program stops."
         ),
     ] = "",
     for_: Annotated[
-        str, typer.Option("--for", metavar="DURATION", help="How long, such as 60s or 5min.")
+        str,
+        typer.Option(
+            "--for", metavar="DURATION", help="Duration of the recording, such as 60s or 5min."
+        ),
     ] = "",
     payload: Annotated[
         str,
-        typer.Option("--payload", help="Load that is mounted, MASS_KG or MASS_KG,X_M,Y_M,Z_M."),
+        typer.Option("--payload", help="Mounted payload: MASS_KG or MASS_KG,X_M,Y_M,Z_M."),
     ] = "",
-    name: Annotated[str, typer.Option("--name", help="What to call the recording.")] = "recording",
+    name: Annotated[str, typer.Option("--name", help="Name of the recording.")] = "recording",
     runs: RunsOption = Path("runs"),
     operator: OperatorOption = "",
     json: JsonFlag = False,
 ) -> None:
-    """Record a robot that somebody else drives; Ctrl-C ends it, too. Nothing is commanded."""
+    """Record a robot that another program drives, until Ctrl-C; send no commands."""
     from hil.arms import parse_payload
     from hil.workflow import RecordingRequest, record_passively
 
     if until not in ("", PROGRAM_STOPS):
         raise SpecError(
-            f"--until {until!r} is no end of a recording", hint=f"use --until {PROGRAM_STOPS}"
+            f"--until {until!r} is not an end condition", hint=f"use --until {PROGRAM_STOPS}"
         )
     for_s = parse_duration("--for", for_, "--for 60s, --for 5min").total_seconds() if for_ else None
     if for_s == 0.0:
-        raise SpecError(f"--for {for_} records nothing", hint="for example: --for 60s")
+        raise SpecError(f"--for {for_} is not a positive duration", hint="for example: --for 60s")
     request = RecordingRequest(
         robot=robot,
         name=name,
@@ -73,7 +76,7 @@ def record(
         typer.echo(f"{result.run}: {result.reason}")
         typer.echo(
             f"  {result.counts.get('samples', 0)} samples in {duration(result.device_s)}, "
-            f"{result.counts.get('missing', 0)} missing; found {steps or 'nothing'}"
+            f"{result.counts.get('missing', 0)} missing; detected {steps or 'nothing'}"
         )
         for note in result.notes:
             typer.echo(f"  {note}")

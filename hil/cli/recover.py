@@ -1,4 +1,4 @@
-"""`hil recover`: torn recordings become whole ones."""
+"""`hil recover`: repair truncated or damaged recordings."""
 
 from pathlib import Path
 from typing import Annotated
@@ -26,21 +26,25 @@ def recover(
         typer.Option(
             "-o",
             "--out",
-            help="Whole file to write, or folder for those of a run; what is there stays as it is.",
+            help="Repaired file, or folder for the repaired files of a run. Existing files are "
+            "never overwritten.",
         ),
     ] = None,
     discard: Annotated[
-        bool, typer.Option("--discard", help="Delete the torn file once the new one is verified.")
+        bool,
+        typer.Option(
+            "--discard", help="Delete the damaged file after the repaired file has been verified."
+        ),
     ] = False,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Rebuild torn or damaged recordings from all that is whole in them, and say what is lost."""
+    """Repair truncated or damaged recordings and list the lost data."""
     from hil.recording import recover as rebuild
     from hil.runs import find_run
 
     if out is not None and discard:
-        raise typer.BadParameter("-o leaves the torn file where it is: without --discard")
+        raise typer.BadParameter("--discard cannot be combined with -o, which keeps the file")
     path = Path(source)
     result = rebuild(path if path.is_file() else find_run(source, runs), out, discard=discard)
     if json:
@@ -49,6 +53,6 @@ def recover(
         for file in result.files:
             typer.echo("\n".join(file.to_lines()))
         if not (result.files or result.problems):
-            typer.echo(f"{result.source} has no torn or damaged recording")
+            typer.echo(f"{result.source} has no truncated or damaged recording")
     if result.error is not None:
         fail(result.error, json)

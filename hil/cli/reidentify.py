@@ -1,4 +1,4 @@
-"""`hil reidentify`: probe a robot once, now, and identify it again if it has changed."""
+"""`hil reidentify`: probe a robot once and re-identify it if it has changed."""
 
 from pathlib import Path
 from typing import Annotated
@@ -26,16 +26,17 @@ def reidentify(
     registry: RegistryOption = REGISTRY,
     state: Annotated[
         Path | None,
-        typer.Option("--state", help="Folder of its state; by default schedules/NAME."),
+        typer.Option("--state", help="State folder of the schedule; default: schedules/NAME."),
     ] = None,
     campaign: Annotated[
-        bool, typer.Option("--campaign", help="Identify it again whatever its probe says.")
+        bool,
+        typer.Option("--campaign", help="Re-identify the robot even if the probe shows no change."),
     ] = False,
     json: JsonFlag = False,
 ) -> None:
-    """Probe a robot once, now, and identify it again if it has changed, as a schedule says.
+    """Execute one probe of a schedule now, and re-identify the robot if it has changed.
 
-    Continues an earlier call that was cut off, unless it began before the schedule's
+    Continues an earlier call that was cut off, unless that call began before the schedule's
     `missed_within`.
     """
     from hil import api

@@ -1,4 +1,4 @@
-"""`hil replay`: the recording of a run once more, from a log of its bus."""
+"""`hil replay`: recreate the recording of a run from a log of its bus."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,15 +13,20 @@ app = typer.Typer()
 
 @app.command()
 def replay(
-    run: Annotated[str, typer.Argument(help="Run directory, number or name.", show_default=False)],
+    run: Annotated[
+        str,
+        typer.Argument(help="Run directory, run number or experiment name.", show_default=False),
+    ],
     log: Annotated[
         Path,
-        typer.Argument(help="Log of its bus, for CAN as candump -L writes it.", show_default=False),
+        typer.Argument(
+            help="Log of the CAN bus in the format of `candump -L`.", show_default=False
+        ),
     ],
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Make the recording of a run anew from a log of its bus, in a run directory of its own."""
+    """Recreate the recording of a run from a CAN bus log, in a new run directory."""
     from hil.runs import find_run
     from hil.workflow import replay as replay_log
 
@@ -31,9 +36,9 @@ def replay(
         return
     typer.echo(f"{result.run}: replayed from {log}")
     for name, count in result.counts.items():
-        if name == "overruns":  # by the host's clock, of which a log has microseconds only
+        if name == "overruns":  # by the host's clock; a log has only microseconds
             continue
         before = result.recorded.get(name)
-        beside = "" if before is None else f" (the run itself recorded {before})"
+        beside = "" if before is None else f" (recorded by the run: {before})"
         typer.echo(f"  {name}: {count}{beside}")
     typer.echo(f"  next: hil report {result.run}")

@@ -1,4 +1,4 @@
-"""`hil report` and `hil figures`: what a run has shown, as a page and as files for papers."""
+"""`hil report` and `hil figures`: results of a run as an HTML page and as files for papers."""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +17,7 @@ def report(
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Write (again) the HTML report of a run, or the overview of a series."""
+    """Rewrite the HTML report of a run, or the overview of a series."""
     from hil.recording import SeriesGroup
     from hil.report import render_report, render_series
     from hil.runs import find_run
@@ -33,20 +33,20 @@ def report(
 @app.command()
 def figures(
     run: Annotated[
-        str, typer.Argument(help="Run (directory, name or number), or an HTML page that hil wrote.")
+        str, typer.Argument(help="Run (directory, number or name), or an HTML report of hil.")
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")],
     formats: Annotated[
         list[str] | None,
-        typer.Option("--format", "-f", help="pdf (default), svg or png; repeat for several."),
+        typer.Option("--format", "-f", help="File format: pdf (default), svg or png; repeatable."),
     ] = None,
     width: Annotated[
-        str, typer.Option("--width", help="column (88 mm) or page (181 mm).")
+        str, typer.Option("--width", help="Width of the figures: column (88 mm) or page (181 mm).")
     ] = "column",
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Write the figures of a run or a page, and tables of studies, as files for papers."""
+    """Write figures and tables of a run as PDF, SVG or PNG files for papers."""
     from hil import api
     from hil.runs import find_run
 

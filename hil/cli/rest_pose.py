@@ -1,4 +1,4 @@
-"""`hil rest-pose`: where an arm loads its brakes least."""
+"""`hil rest-pose`: find the pose with the smallest load on the brakes."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -23,34 +23,45 @@ def rest_pose(
         Path | None,
         typer.Option(
             "--station",
-            help="What stands around the arm; by default $HIL_STATION, station.yaml here, or a "
-            "table at its base.",
+            help="Station with the bodies around the arm; default: $HIL_STATION, station.yaml in "
+            "the current folder, or a table under the base.",
         ),
     ] = None,
     robot: Annotated[
-        str, typer.Option("--robot", help="Name in the station; by default the one that fits.")
+        str,
+        typer.Option(
+            "--robot",
+            help="Name of the robot in the station; default: the robot with the arm of the model.",
+        ),
     ] = "",
     payload: Annotated[
-        str, typer.Option("--payload", help="What is mounted: MASS_KG or MASS_KG,X_M,Y_M,Z_M.")
+        str, typer.Option("--payload", help="Mounted payload: MASS_KG or MASS_KG,X_M,Y_M,Z_M.")
     ] = "",
     clearance_mm: Annotated[
         float | None,
-        typer.Option("--clearance-mm", help="Distance that is kept; by default the station's."),
+        typer.Option(
+            "--clearance-mm",
+            help="Smallest distance to every body [mm]; default: clearance_m of the station.",
+        ),
     ] = None,
     near: Annotated[
         str,
         typer.Option(
             "--near",
-            help="Joint angles in degrees, A,B,C,…: where the arm stands now, or would rather be.",
+            help="Search near this pose: joint angles [deg] as A,B,C,…",
         ),
     ] = "",
     unchecked: Annotated[
-        bool, typer.Option("--unchecked", help="Do not check clearance; for arms from a URDF.")
+        bool,
+        typer.Option(
+            "--no-collision-check",
+            help="Skip the collision check, for arms from a URDF without collision bodies.",
+        ),
     ] = False,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Find the pose in which the brakes hold least, and say what happens when they fail."""
+    """Find the pose with the lowest brake torque and simulate a brake failure."""
     from hil import api
     from hil.runs import find_model
 
@@ -74,15 +85,15 @@ def _angles(text: str) -> list[float]:
         return [float(part) for part in text.split(",")]
     except ValueError:
         raise SpecError(
-            f"--near {text!r} is no pose", hint="for example: --near 0,-90,0,-90,0,0 (degrees)"
+            f"--near {text!r} is not a pose", hint="for example: --near 0,-90,0,-90,0,0 (degrees)"
         ) from None
 
 
 def _print(report: "RestReport") -> None:
-    load = "nothing" if report.payload.is_empty else str(report.payload)
+    load = "no payload" if report.payload.is_empty else str(report.payload)
     say(f"rest poses of {report.robot} by {Path(report.model).name}, with {load} mounted")
-    clearance = f", {1e3 * report.clearance_m:.0f} mm clear" if report.clearance_m else ""
-    say(f"around it: {report.around}{clearance}")
+    clearance = f", at least {1e3 * report.clearance_m:.0f} mm away" if report.clearance_m else ""
+    say(f"surroundings: {report.around}{clearance}")
     typer.echo()
     poses = [(str(i), pose) for i, pose in enumerate(report.poses, 1)]
     poses += [(pose.label, pose) for pose in report.compared]
@@ -107,7 +118,7 @@ def _print_summary(poses: "Iterable[tuple[str, RestPose]]") -> None:
         )
         for name, pose in poses
     ]
-    print_table(("pose", "rms %", "most %", "clear mm", "without brakes it"), rows)
+    print_table(("pose", "rms %", "max %", "clearance mm", "without brakes it"), rows)
 
 
 MARGIN = "   "
@@ -123,7 +134,7 @@ def _print_pose(report: "RestReport", name: str, pose: "RestPose") -> None:
         ("of limit [%]", *(f"{100 * abs(share):.2f}" for share in pose.share)),
     ]
     if report.friction is not None:
-        rows.append(("friction spare", *(f"{spare:.2f}" for spare in pose.fail.spare)))
+        rows.append(("friction margin", *(f"{spare:.2f}" for spare in pose.fail.spare)))
     joints = range(1, len(report.joint_names) + 1)
     width = out_width()
     lines = table_lines(
@@ -135,7 +146,7 @@ def _print_pose(report: "RestReport", name: str, pose: "RestPose") -> None:
     for line in lines:
         typer.echo(f"{MARGIN}{line}")
     if not pose.clear:
-        say(f"not within limits, or too close: {' and '.join(pose.bodies)}", MARGIN)
+        say(f"outside the limits, or too close: {' and '.join(pose.bodies)}", MARGIN)
     elif np.isfinite(pose.clearance):
         say(f"{1e3 * pose.clearance:.0f} mm between {' and '.join(pose.bodies)}", MARGIN)
     say(_without_brakes(report, pose), MARGIN)
@@ -149,13 +160,13 @@ def _without_brakes(report: "RestReport", pose: "RestPose") -> str:
     spare = abs(fail.spare[weakest])
     known = report.friction is not None
     return {
-        "stays": "without brakes it stays: no torque, and no way down",
-        "held": f"without brakes half of its dry friction holds it, {spare:.2f} N·m are left in "
-        f"{report.joint_names[weakest]}"
-        + (f"; pushed, it tips over by {first}" if fail.unstable else ""),
-        "tips": f"without brakes it tips over by {first}: balanced, but unstable",
-        "falls": f"without brakes it falls: {report.joint_names[weakest]} lacks {spare:.2f} N·m "
-        "of friction (half of it counted)"
+        "stays": "without brakes the arm stays: gravity causes no torque, and no pose is lower",
+        "held": "without brakes half of the dry friction holds the arm, with a margin of "
+        f"{spare:.2f} N·m in {report.joint_names[weakest]}"
+        + (f"; if pushed, the arm tips over in {first}" if fail.unstable else ""),
+        "tips": f"without brakes the arm tips over in {first}: its balance is unstable",
+        "falls": f"without brakes the arm falls: {report.joint_names[weakest]} lacks "
+        f"{spare:.2f} N·m of friction (half of the friction is counted)"
         if known
-        else "without brakes it falls, unless its friction holds the torque",
+        else "without brakes the arm falls, unless friction holds the torque",
     }[fail.outcome]

@@ -1,7 +1,7 @@
 """`hil run` and `hil resume`: move the robot, attended by an operator.
 
-Both verbs share the options of `Attended`: who the operator is and how prompts are answered, what
-was waived and confirmed, and the live view.
+The verbs `run` and `resume` share the options of `Attended`: the operator, the answers to prompts,
+waivers, the confirmation of the motion, and the live view.
 """
 
 import contextlib
@@ -46,23 +46,25 @@ app = typer.Typer()
 
 @dataclass(slots=True)
 class Attended:
-    """Options of runs with an operator, and how these runs are begun and resumed.
+    """Options of attended runs, with methods that start and resume attended runs.
 
     Attributes:
-        together: Confirmation of all runs of a series at once; None before it.
+        together: Common confirmation of all runs of a series; None before the confirmation.
     """
 
     operator: OperatorOption = ""
     answers: Annotated[
         Path | None,
-        typer.Option("--answers", help="Answers to all prompts (YAML), for runs nobody attends."),
+        typer.Option(
+            "--answers", help="YAML file with the answers to all prompts, for unattended runs."
+        ),
     ] = None
     elsewhere: Annotated[
         bool,
         typer.Option(
-            "--elsewhere",
-            help="Nobody sits at this console: prompts, also those of a mock, wait for "
-            "`hil answer` or the dashboard.",
+            "--no-console",
+            help="No prompts on this console: every prompt waits for `hil answer` or the "
+            "dashboard, even on a mock.",
         ),
     ] = False
     waive: WaiveOption = None
@@ -72,7 +74,7 @@ class Attended:
             "--wait",
             min=0,
             metavar="SECONDS",
-            help="How long to wait for a robot that somebody else holds.",
+            help="Longest time to wait for a robot that another process has leased.",
         ),
     ] = 0.0
     yes: YesFlag = False
@@ -81,13 +83,13 @@ class Attended:
         typer.Option(
             "--confirmed",
             metavar="FILE",
-            help="JSON file with the confirmed facts of the motion, as written by the dashboard; "
-            "a real robot moves only if they cover this run.",
+            help="JSON file with a confirmation of the motion, as written by the dashboard; a "
+            "real robot moves only if the confirmation covers this run.",
         ),
     ] = None
     live: Annotated[
         bool,
-        typer.Option("--live", help="Serve a live view to Foxglove or Lichtblick on this machine."),
+        typer.Option("--live", help="Stream live data to Foxglove or Lichtblick on this computer."),
     ] = False
     live_port: Annotated[
         int | None,
@@ -97,7 +99,8 @@ class Attended:
             max=65535,
             metavar="PORT",
             show_default=False,
-            help="Serve it on this port, 0 for any; by default 8765 or the next free one.",
+            help="Port of the live stream, 0 for any free port; default: 8765 or the next free "
+            "port.",
         ),
     ] = None
     live_host: Annotated[
@@ -106,16 +109,17 @@ class Attended:
             "--live-host",
             metavar="ADDRESS",
             show_default=False,
-            help="Serve it to other machines too: whoever reaches the address can watch.",
+            help="Address of the live stream, to serve other computers too. Every client that "
+            "reaches the address can watch.",
         ),
     ] = None
     together: "Together | None" = field(default=None, init=False)
 
     def confirm_together(self, moves: "Moves") -> None:
-        """Confirm all robots of a series at once; its runs do not ask again."""
+        """Confirm all robots of a series together; the runs of the series do not ask again."""
         from hil.workflow import confirm_together
 
-        if self.confirmed is not None:  # it names robot and address itself
+        if self.confirmed is not None:  # the file already names robot and address
             moves.real()
             return
         self.together = confirm_together(moves, who=self.operator, yes=self.yes)
@@ -130,13 +134,13 @@ class Attended:
             return self._attend(lambda: robot.capabilities, move, confirm)
 
     def resume(self, run: Path) -> "RunReport":
-        """Go on with a run."""
+        """Resume a run."""
         from hil import api
         from hil.recording import RunDirectory
         from hil.workflow import recorded_capabilities
 
         directory = RunDirectory.open(run)
-        # In a terminal the facts are shown again if what was confirmed then no longer holds.
+        # In a terminal, changed facts are shown again for confirmation.
         at_once = self.together if self.yes else None
         robot = str(directory.start.get("robot_name", ""))
         confirm = at_once.resume(robot, run) if at_once else self._confirm()
@@ -168,7 +172,7 @@ class Attended:
             )
 
     def _confirm(self) -> "Confirm | None":
-        """Return the confirmation that replaces the console's; None for the console."""
+        """Return the confirmation from the options; None if it is typed at the console."""
         from hil.workflow import Granted, granted_in
 
         if self.confirmed is not None:
@@ -180,13 +184,13 @@ class Attended:
 def live_view(
     capabilities: "Callable[[], Capabilities]", live: bool, port: int | None, host: str | None
 ) -> "Iterator[tuple[Observer, ...]]":
-    """Serve the live view while inside, if one of the options asks for it.
+    """Serve the live view within the context if one of the options requests this.
 
     Yields:
-        The observers of the run.
+        Observers of the run, which receive its progress.
 
     Raises:
-        PluginError: It cannot be served.
+        PluginError: The live view cannot be served.
     """
     if not (live or port is not None or host):
         yield ()
@@ -199,7 +203,8 @@ def live_view(
         typer.echo(f"live view: {view.url}\n   layout: {LAYOUT}", err=True)
         if not is_loopback(host):
             typer.secho(
-                "  Warning: the live view has no password: whoever reaches this port can watch",
+                "  Warning: the live view has no password: every client that reaches the port can "
+                "watch",
                 err=True,
                 fg=typer.colors.YELLOW,
             )
@@ -207,7 +212,7 @@ def live_view(
 
 
 def with_attendance(verb: Callable[..., None]) -> Callable[..., None]:
-    """Give a verb the options of `Attended` in place of its parameter `attended`."""
+    """Replace the parameter `attended` of a verb by the options in `Attended`."""
     signature = inspect.signature(verb)
     shared = _shared_options()
     own = [
@@ -248,7 +253,7 @@ def run(
     attended: Attended,
     json: JsonFlag = False,
 ) -> None:
-    """Run an experiment or a series: from plan to report."""
+    """Run an experiment or a series, from plan to report; options make first runs slow or short."""
     from hil.core import read_source
     from hil.planning import commissioning_of
     from hil.spec import is_schedule, is_series
@@ -257,7 +262,7 @@ def run(
     if is_schedule(source):
         raise SpecError(
             f"{spec} is a schedule, not an experiment or a series",
-            hint=f"run it once, now: hil reidentify {spec}; or whenever it is due: "
+            hint=f"execute it once: hil reidentify {spec}; or at its due times: "
             f"hil schedule run {spec}",
         )
     part = commissioning_of(speed, first)
@@ -290,7 +295,7 @@ def resume(
     attended: Attended,
     json: JsonFlag = False,
 ) -> None:
-    """Go on with a run: one that ended early in a new attempt, one that is paused where it is."""
+    """Resume a paused run, or complete an unfinished run in a new attempt."""
     from hil.core import is_live
     from hil.recording import SeriesGroup
     from hil.runs import find_run

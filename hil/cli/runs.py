@@ -1,4 +1,4 @@
-"""`hil runs` and `hil show`: which runs there are, and what one of them has recorded."""
+"""`hil runs` and `hil show`: list runs, and show the contents of one run."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,18 +20,18 @@ def runs(
         list[str] | None,
         typer.Argument(
             metavar="[QUERY]...",
-            help="Terms that all hold: robot=ur5-*, status=completed, since=7d, 'rmse<0.1', or a "
-            "word of name, description or operator; by default all runs.",
+            help="Conditions that a run must meet: robot=ur5-*, status=completed, since=7d, "
+            "'rmse<0.1', or a word of its name, description or operator. Default: all runs.",
             show_default=False,
         ),
     ] = None,
     runs: RunsOption = Path("runs"),
     rebuild: Annotated[
-        bool, typer.Option("--rebuild", help="Make the catalogue that queries use anew.")
+        bool, typer.Option("--rebuild", help="Rebuild the search index first.")
     ] = False,
     json: JsonFlag = False,
 ) -> None:
-    """List run directories, newest last; interrupted and damaged ones too."""
+    """List or search runs, newest last, including interrupted and damaged runs."""
     from hil.recording import unreadable_folders
     from hil.runs import find_runs, list_runs
 
@@ -45,11 +45,11 @@ def runs(
     elif entries:
         print_table(*(_search_results(entries) if searched else _list(entries, runs)))
     elif query:
-        say(f"no run under {runs} meets: {' '.join(query)}")
+        say(f"no run under {runs} meets the conditions: {' '.join(query)}")
     elif unreadable:
-        say(f"no runs under {runs} in folders that can be read")
+        say(f"no runs under {runs} in readable folders")
     else:
-        say(f"no runs under {runs}; make one with: hil run SPEC")
+        say(f"no runs under {runs}; start one with: hil run SPEC")
 
 
 _Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]
@@ -73,7 +73,7 @@ _ABOUT_A_RUN = ("hil resume ", "hil report ")
 
 
 def _short(commands: Sequence[str], paths: Sequence[Path], runs: Path) -> list[str]:
-    """Return the commands with the number of the run, which is in the first column, if unique."""
+    """Return the commands with the run's number from the first column if this number is unique."""
     from hil.recording import number_of
 
     numbers = [number_of(path) for path in paths]
@@ -116,7 +116,7 @@ def show(
     ] = False,
     json: JsonFlag = False,
 ) -> None:
-    """Show one run: what it was, how it ended, what its models are worth."""
+    """Show one run: conditions, preflight, why it stopped or failed, accuracy of its models."""
     from hil.recording import RunDirectory
     from hil.runs import describe_run, find_run
 
@@ -127,7 +127,7 @@ def show(
     else:
         print_run(path)
     if problems:
-        hint = "take the run from a copy that is whole, or use what is left of it with care"
+        hint = "restore the run from an intact copy, or use the remaining data with care"
         fail(DataError(f"{path}: {'; '.join(problems)}", hint=hint), json)
     if verify and not json:
-        typer.echo("every file is as the run left it")
+        typer.echo("all files are unchanged since the end of the run")

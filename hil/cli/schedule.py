@@ -1,8 +1,8 @@
-"""`hil schedule`: probe a robot, and identify it again, when it is due.
+"""`hil schedule`: probe a robot, and re-identify it, at due times.
 
-`run` works in the foreground until it is ended; everything it does is in the ledger of the
-schedule's state folder, which `show`, `hold` and `release` read and write. Times are printed in the
-schedule's own time zone.
+The verb `run` works in the foreground until it is stopped, and records every action in the ledger
+in the state folder of the schedule. The verbs `show`, `hold` and `release` read and write the
+ledger of the schedule. Times of occasions are printed in the time zone of the schedule.
 """
 
 from collections.abc import Iterable, Mapping
@@ -34,27 +34,31 @@ if TYPE_CHECKING:
 
 StateOption = Annotated[
     Path | None,
-    typer.Option("--state", help="Folder of its ledger; by default schedules/NAME."),
+    typer.Option("--state", help="State folder of the schedule; default: schedules/NAME."),
 ]
-ReasonOption = Annotated[str, typer.Option("--reason", help="For the ledger.", show_default=False)]
+ReasonOption = Annotated[
+    str, typer.Option("--reason", help="Reason; recorded in the ledger.", show_default=False)
+]
 
 app = typer.Typer(
     name="schedule",
     no_args_is_help=True,
-    help="Probe a robot, and identify it again when it has changed: whenever it is due.",
+    help="Probe a robot on a schedule and re-identify it when it has changed.",
 )
 
 
 @app.command()
 def run(
     file: ScheduleArgument,
-    once: Annotated[bool, typer.Option("--once", help="Do what is due now, and end.")] = False,
+    once: Annotated[
+        bool, typer.Option("--once", help="Execute the occasions that are due now, then exit.")
+    ] = False,
     state: StateOption = None,
     registry: RegistryOption = REGISTRY,
     runs: RunsOption = Path("runs"),
     station: StationOption = None,
 ) -> None:
-    """Do what is due whenever it is, until Ctrl-C or SIGTERM."""
+    """Execute a schedule until Ctrl-C or SIGTERM."""
     from hil.maintenance import (
         Command,
         Motions,
@@ -75,7 +79,7 @@ def run(
     for experiment in bound.experiments:
         require_extras(experiment.spec)
     spec, times = bound.spec, Motions()
-    if spec.blackout:  # nothing else needs the times, and planning takes seconds
+    if spec.blackout:  # only blackouts need the durations, and planning takes seconds
         times = motions(spec, bound.probe, bound.campaign)
         require_room(spec, times, datetime.now(UTC))
     folder, zone = _state(spec, state), _zone(spec)
@@ -123,12 +127,15 @@ def arm(
     state: StateOption = None,
     station: StationOption = None,
     operator: OperatorOption = "",
-    yes: Annotated[bool, typer.Option("--yes", help="Confirm without a prompt; recorded.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Confirm without a prompt; recorded in the ledger.")
+    ] = False,
     json: JsonFlag = False,
 ) -> None:
-    """Confirm once that a schedule may move its real robot; connects to nothing.
+    """Confirm that a schedule may move its real robot at every occasion; does not connect.
 
-    Repeat it after a change of the file, an experiment, or the robot's entry in the station.
+    Repeat the confirmation after a change of the schedule, an experiment, or the robot in the
+    station.
     """
     from hil.maintenance import bind_file
     from hil.workflow import arm as arm_moves
@@ -150,28 +157,30 @@ def _armed_words(armed: Mapping[str, Any]) -> str:
 
 
 MOST_ALIKE = 40
-"""Rows of a plan that are alike and shown: probes every minute would fill the terminal."""
+"""Maximum number of similar rows in the output of `plan`; probes every minute would fill the
+terminal."""
 
 
 @app.command()
 def plan(
     file: ScheduleArgument,
     weeks: Annotated[
-        float, typer.Option("--weeks", min=0, max=520, help="How far to look ahead.")
+        float, typer.Option("--weeks", min=0, max=520, help="Number of weeks to list.")
     ] = 4.0,
     until: Annotated[
         str | None,
         typer.Option(
             "--until",
             metavar="DATE",
-            help="In place of weeks: a day, itself included, or 2026-11-28T03:00.",
+            help="Last day or moment to list, such as 2026-11-28 or 2026-11-28T03:00, instead of "
+            "--weeks.",
         ),
     ] = None,
     state: StateOption = None,
     station: StationOption = None,
     json: JsonFlag = False,
 ) -> None:
-    """What would happen when, if nothing is found; does nothing."""
+    """List the coming occasions of a schedule; execute nothing."""
     from hil.maintenance import Ledger, bind_file, forecast, motions, require_room
 
     bound, now = bind_file(file, station), datetime.now(UTC)
@@ -179,7 +188,7 @@ def plan(
     zone = _zone(spec)
     end = _end(until, zone) if until else now + timedelta(weeks=weeks)
     if end <= now:
-        raise SpecError(f"--until {until} is past", hint="give a later one")
+        raise SpecError(f"--until {until} is in the past", hint="choose a later date")
     times = motions(spec, bound.probe, bound.campaign)
     require_room(spec, times, now)
     ledger = Ledger.read(_state(spec, state))
@@ -204,16 +213,16 @@ def plan(
         say(_held_words(held, file, zone))
     _print_expected(expected, zone)
     probe = f"probe {duration(times.probe.total_seconds())}, " if spec.probe else ""
-    say(f"of motion: {probe}campaign {duration(times.campaign.total_seconds())}")
+    say(f"duration of motion: {probe}campaign {duration(times.campaign.total_seconds())}")
 
 
 def _end(text: str, zone: "ZoneInfo") -> datetime:
-    """Return the end of a day, or a time of day there."""
+    """Return the point in time for a text; for a text without time of day, the end of the day."""
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
         raise SpecError(
-            f"--until {text!r} is no date", hint="such as 2026-11-28 or 2026-11-28T03:00"
+            f"--until {text!r} is not a date", hint="for example: --until 2026-11-28T03:00"
         ) from None
     if len(text) <= len("2026-11-28"):
         moment += timedelta(days=1)
@@ -221,7 +230,7 @@ def _end(text: str, zone: "ZoneInfo") -> datetime:
 
 
 def _print_expected(expected: "Iterable[Expected]", zone: "ZoneInfo") -> None:
-    """Print what would happen as a table; of each kind the first ones, and how many more."""
+    """Print expected occasions as a table: the first of each kind, and the number of the others."""
     rows = []
     alike: dict[tuple[str, str], list[Expected]] = {}
     for one in expected:
@@ -230,24 +239,24 @@ def _print_expected(expected: "Iterable[Expected]", zone: "ZoneInfo") -> None:
         if len(kind) > MOST_ALIKE:
             continue
         times = f" ({one.count} times)" if one.count > 1 else ""
-        begins = "not done" if one.begins is None else f"{one.begins.astimezone(zone):%a %H:%M:%S}"
+        begins = "skipped" if one.begins is None else f"{one.begins.astimezone(zone):%a %H:%M:%S}"
         motion = duration(one.motion.total_seconds()) if one.motion else ""
-        why = "gone on with" + (f", {one.why}" if one.why else "") if one.again else one.why
+        why = "resumed" + (f", {one.why}" if one.why else "") if one.again else one.why
         rows.append((_minute(one.due, zone), one.job + times, begins, motion, why))
     if not rows:
-        say("nothing is due until then")
+        say("no occasion is due in this period")
         return
-    print_table((f"due ({zone})", "what", "begins", "motion", "why not then"), rows)
+    print_table((f"due ({zone})", "occasion", "begins", "motion", "reason for a delay"), rows)
     for (job, what), kind in alike.items():
         if rest := kind[MOST_ALIKE:]:
             count = f"{sum(one.count for one in rest)} more: {job}"
-            missed = ", not done" if what == "missed" else ""
+            missed = ", skipped" if what == "missed" else ""
             say(f"… and {count}{missed}, until {_minute(rest[-1].due, zone)}")
 
 
 @app.command()
 def show(file: ScheduleArgument, state: StateOption = None, json: JsonFlag = False) -> None:
-    """What was done, and what was not and why; what is due next."""
+    """Show executed and skipped occasions with reasons, and the next due occasion."""
     from hil.core import LOCK, holder_of
     from hil.maintenance import clock_problem
     from hil.workflow import read_armed
@@ -274,16 +283,16 @@ def show(file: ScheduleArgument, state: StateOption = None, json: JsonFlag = Fal
         say(f"{spec.name} has never been started: hil schedule run {file}")
         return
     rows = [_cells(line, zone) for line in ledger.lines]
-    print_table((f"when ({zone})", "event", "occasion", "what"), rows)
+    print_table((f"time ({zone})", "event", "occasion", "details"), rows)
     if standing.held:
         say(_held_words(standing.held, file, zone))
     else:
         say(clock_problem(standing, now) or _next_words(due, zone))
-    say(f"run by {holder.told(zone)}" if holder else f"nobody runs it: hil schedule run {file}")
+    say(f"run by {holder.told(zone)}" if holder else f"not running: hil schedule run {file}")
 
 
 def _still_armed(armed: dict[str, Any] | None, file: Path) -> str:
-    """Return whether a schedule is armed, and what has changed since."""
+    """Return whether a schedule is armed, and the changes of its files since arming."""
     from hil.maintenance import bind_file
     from hil.workflow import changed_since
 
@@ -301,7 +310,7 @@ def _still_armed(armed: dict[str, Any] | None, file: Path) -> str:
 
 @app.command()
 def hold(file: ScheduleArgument, reason: ReasonOption, state: StateOption = None) -> None:
-    """Let nothing begin until it is released; what is under way comes to its end."""
+    """Suspend a schedule until `hil schedule release`; an active occasion is completed."""
     from hil.maintenance import hold as hold_ledger
 
     spec, ledger = _read_started(file, state)
@@ -310,7 +319,7 @@ def hold(file: ScheduleArgument, reason: ReasonOption, state: StateOption = None
 
 @app.command()
 def release(file: ScheduleArgument, reason: ReasonOption, state: StateOption = None) -> None:
-    """Let a schedule go on that is held; somebody has looked at the robot."""
+    """Release a suspended schedule after an operator has inspected the robot."""
     from hil.maintenance import choose
     from hil.maintenance import release as release_ledger
 
@@ -318,7 +327,7 @@ def release(file: ScheduleArgument, reason: ReasonOption, state: StateOption = N
     zone, now = _zone(spec), datetime.now(UTC)
     say(_line_words(release_ledger(ledger, now, reason), zone))
     if (waits := choose(spec, ledger.standing, now).occasion) is not None:
-        say(f"{waits.id} has waited: the process that runs the schedule begins it within a minute")
+        say(f"{waits.id} is overdue: the process of the schedule begins it within a minute")
     else:
         say(_next_words(_next_due(spec, ledger, now), zone))
 
@@ -326,10 +335,14 @@ def release(file: ScheduleArgument, reason: ReasonOption, state: StateOption = N
 @app.command()
 def systemd(
     file: ScheduleArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the units.")] = Path(),
-    user: Annotated[bool, typer.Option("--user", help="For systemctl --user.")] = False,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for the systemd units; created if missing.")
+    ] = Path(),
+    user: Annotated[
+        bool, typer.Option("--user", help="Write units for `systemctl --user`.")
+    ] = False,
     timer: Annotated[
-        bool, typer.Option("--timer", help="A timer that calls, not a service that stays.")
+        bool, typer.Option("--timer", help="Write a timer instead of a permanent service.")
     ] = False,
     state: StateOption = None,
     registry: RegistryOption = REGISTRY,
@@ -337,7 +350,7 @@ def systemd(
     station: StationOption = None,
     json: JsonFlag = False,
 ) -> None:
-    """Write units that run it, with the paths of these options; installs nothing."""
+    """Write systemd units that execute a schedule; install nothing."""
     from hil.maintenance import bind_file, next_words, units_of, write_units
 
     spec = bind_file(file, station).spec
@@ -364,13 +377,16 @@ def systemd(
 def simulate(
     file: ScheduleArgument,
     lasting: Annotated[
-        str, typer.Argument(metavar="DURATION", help="How long, such as 12w.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="DURATION", help="Simulated duration, such as 12w.", show_default=False
+        ),
     ],
     station: StationOption = None,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Simulate weeks of a schedule at once on the embedded mock, with wear and changing rooms."""
+    """Simulate weeks of a schedule on the embedded mock robot, which wears and heats up."""
     from hil.core import new_folder, read_source
     from hil.maintenance import bind, require_mock
     from hil.maintenance import simulate as live_through
@@ -437,17 +453,18 @@ def _read(file: Path, state: Path | None) -> "tuple[ScheduleSpec, Path, Ledger]"
 
 
 def _read_started(file: Path, state: Path | None) -> "tuple[ScheduleSpec, Ledger]":
-    """Return a schedule that has been started, and its ledger."""
+    """Return a schedule that has been started at least once, and its ledger."""
     spec, folder, ledger = _read(file, state)
     if not ledger.lines:
         raise DataError(
-            f"{folder}: {spec.name} has never been started", hint="is it kept elsewhere? --state"
+            f"{folder}: {spec.name} has never been started",
+            hint="if its state is in a different folder: --state FOLDER",
         )
     return spec, ledger
 
 
 def _next_due(spec: "ScheduleSpec", ledger: "Ledger", now: datetime) -> datetime | None:
-    """Return when something is due next that is not settled."""
+    """Return the due time of the next occasion that is not completed yet."""
     from hil.maintenance import occasions
 
     standing = ledger.standing
@@ -456,7 +473,7 @@ def _next_due(spec: "ScheduleSpec", ledger: "Ledger", now: datetime) -> datetime
     return occasion.due if occasion else None
 
 
-# Times and lines of the ledger in words
+# Texts for times and lines of the ledger
 
 
 def _zone(spec: "ScheduleSpec") -> "ZoneInfo":
@@ -474,13 +491,13 @@ def _minute(moment: datetime, zone: "ZoneInfo") -> str:
 
 
 def _next_words(moment: datetime | None, zone: "ZoneInfo") -> str:
-    return f"next: {_minute(moment, zone)} ({zone})" if moment else "nothing is due again"
+    return f"next: {_minute(moment, zone)} ({zone})" if moment else "no further occasion is due"
 
 
 def _held_words(line: "Line", file: Path, zone: "ZoneInfo") -> str:
     return (
         f"held since {_cells(line, zone)[0]} ({zone}): {line['why']}\n"
-        f"  → when somebody has looked: hil schedule release {file} --reason TEXT"
+        f"  → after inspecting the robot: hil schedule release {file} --reason TEXT"
     )
 
 
@@ -489,7 +506,7 @@ def _line_words(line: "Line", zone: "ZoneInfo") -> str:
 
 
 def _cells(line: "Line", zone: "ZoneInfo") -> tuple[str, str, str, str]:
-    """Return a line of the ledger as time, event, occasion, and what was said about it."""
+    """Return a line of the ledger as four texts: time, event, occasion, and details."""
     at = f"{datetime.fromisoformat(line['at']).astimezone(zone):%Y-%m-%d %H:%M:%S}"
     count = int(line.get("count", 1))
     more = f" and {count - 1} before it" if count > 1 else ""

@@ -1,7 +1,7 @@
-"""A series of experiments in `hil run` and `hil resume`.
+"""Execution of series of experiments in `hil run` and `hil resume`.
 
-Each experiment of a series is an ordinary run; the real robots of all are confirmed at once, before
-the first. A series that ended early goes on with the run in which it did.
+Each experiment of a series is an ordinary run. All real robots are confirmed together before the
+first run. A series that ended early is resumed with the run that ended early.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ def run_series(
     """Run a series from its beginning.
 
     Args:
-        source: Content of its file.
-        station: In place of every station the files name.
-        runs: Where run directories are kept.
-        part: Part and speed of each experiment that is executed; None for the whole.
-        begin: Runs an experiment.
-        json: Whether to print one document and nothing else.
-        confirm: Confirms all robots at once.
+        source: Source with the content of the series file.
+        station: Station file that replaces all stations in the files.
+        runs: Folder in which the run directories are created.
+        part: Executed part of each experiment and its speed; None for complete experiments.
+        begin: Function that runs an experiment of the series.
+        json: Whether to print only one JSON document.
+        confirm: Function that confirms all robots of the series together.
     """
     from hil.workflow import check_driver, load_series, require_extras
 
@@ -71,16 +71,16 @@ def run_series(
 def resume_series(
     path: Path, begin: Begin, resume: Resume, json: bool, *, confirm: Callable[[Moves], object]
 ) -> None:
-    """Go on with a series that ended early, from the run in which it did.
+    """Resume a series that ended early, beginning with the run that ended early.
 
-    If none is left to do, only the overview is written again.
+    If all experiments are complete, only the overview page is written again.
 
     Args:
-        path: Its folder.
-        begin: Runs an experiment.
-        resume: Goes on with a run.
-        json: Whether to print one document and nothing else.
-        confirm: Confirms all robots that are left at once.
+        path: Folder of the series to resume.
+        begin: Function that runs an experiment of the series.
+        resume: Function that resumes a run of the series.
+        json: Whether to print only one JSON document.
+        confirm: Function that confirms all remaining robots of the series together.
     """
     from hil.recording import SeriesGroup
     from hil.workflow import commissioning_of_series, load_series
@@ -109,11 +109,11 @@ def resume_series(
     if json:
         print_json({**report.to_dict(), "exit_code": 0})
     else:
-        typer.echo(f"nothing is left to do of {series.spec.name}; overview: {_page(report)}")
+        typer.echo(f"{series.spec.name} is complete; overview: {_page(report)}")
 
 
 def moves_of(series: Series, experiments: Iterable[Experiment]) -> Moves:
-    """Return what experiments of a series move, by their place in it."""
+    """Return the motions of a series: its experiments by their position in the series."""
     from hil.workflow import Moves
 
     places = {f"series.{i}": each for i, each in enumerate(experiments)}
@@ -125,7 +125,7 @@ def _outcome(report: RunReport) -> Outcome:
 
 
 def rejected(report: RunReport) -> Rejected | None:
-    """Return the error of a run whose model missed its criteria; None if it has none."""
+    """Return the error of a run whose model missed its criteria; None if all criteria are met."""
     if report.verdict != "rejected":
         return None
     message = f"the model of {report.run} missed its acceptance criteria"
@@ -133,7 +133,7 @@ def rejected(report: RunReport) -> Rejected | None:
 
 
 def _with_studies(run: Path, before: Document) -> Outcome:
-    """Finish a run that was stopped during its studies: its models are there."""
+    """Complete a run that was stopped during its studies, after its models had been fitted."""
     from hil import api
     from hil.cli.progress import StudyLine
 
@@ -168,10 +168,10 @@ def _run(series: Series, group: SeriesGroup, execute: Execute, json: bool) -> No
     if (error := report.error) is None:
         return
     if not all(each.measured for each in report.members):
-        hint = f"when the cause is mended: hil resume {report.folder}"
+        hint = f"after repairing the cause: hil resume {report.folder}"
         error.hint = f"{error.hint}; {hint}" if error.hint else hint
     fail(error, json)
 
 
 def _page(report: SeriesReport) -> str:
-    return str(report.page or "could not be made")
+    return str(report.page or "could not be created")

@@ -1,4 +1,4 @@
-"""`hil serve`: the dashboard."""
+"""`hil serve`: dashboard of runs, models and schedules in the browser."""
 
 import os
 from pathlib import Path
@@ -20,17 +20,18 @@ def serve(
         Path | None,
         typer.Option(
             "--specs",
-            help="Folder whose specs, stations and schedules are offered; by default "
-            "`experiments`, or this one where there is none.",
+            help="Folder of the specs, stations and schedules; default: `experiments` if it "
+            "exists, else the current folder.",
         ),
     ] = None,
     schedules: Annotated[
-        Path, typer.Option("--schedules", help="Where schedules keep their state (NAME/…).")
+        Path, typer.Option("--schedules", help="Folder of the state folders of schedules (NAME/…).")
     ] = Path("schedules"),
     host: Annotated[
         str,
         typer.Option(
-            "--host", help="Address to listen on. Elsewhere than on loopback a token is asked for."
+            "--host",
+            help="Address to listen on. Browsers on other addresses than loopback need a token.",
         ),
     ] = "127.0.0.1",
     port: Annotated[
@@ -39,20 +40,26 @@ def serve(
             "--port",
             min=0,
             max=65535,
-            help="TCP port, 0 for any; by default 8350 or one of the next.",
+            help="TCP port, 0 for any free port; default: the first free port from 8350 to 8359.",
         ),
     ] = None,
     name: Annotated[
         list[str] | None,
         typer.Option(
-            "--name", metavar="HOST", help="Name that browsers call it by; may be repeated."
+            "--name",
+            metavar="HOST",
+            help="Additional host name under which browsers reach the dashboard; repeatable.",
         ),
     ] = None,
     read_only: Annotated[
-        bool, typer.Option("--read-only", help="Look only: start, pause, answer and stop nothing.")
+        bool,
+        typer.Option(
+            "--read-only",
+            help="Serve pages only; starting, pausing, answering and stopping runs is disabled.",
+        ),
     ] = False,
 ) -> None:
-    """Serve the dashboard: live runs with Stop, prompts, catalogue, models, schedules."""
+    """Serve the dashboard: start, watch and stop runs, browse runs, models and schedules."""
     from hil.core import plugins
 
     if missing := plugins.absent_modules("web"):
@@ -76,21 +83,21 @@ def serve(
     def announce(address: str) -> None:
         typer.echo(f"dashboard: {address}")
         if token:
-            typer.echo(f"its token is that of $HIL_TOKEN: {address}?token=…", err=True)
-        typer.echo("Ctrl-C ends it; runs that it started go on.", err=True)
+            typer.echo(f"with the token of $HIL_TOKEN: {address}?token=…", err=True)
+        typer.echo("Ctrl-C ends the dashboard; runs that were started from it continue.", err=True)
 
     serve_dashboard(settings, listen(host, port), announce)
 
 
 def specs_folder(folder: Path | None) -> Path:
-    """Return the folder of specs; by default `experiments`, or this one if there is none.
+    """Return the folder of specs; by default `experiments` if it exists, else the current folder.
 
     Raises:
-        SpecError: It is no folder.
+        SpecError: The path `folder` is not a folder.
     """
     if folder is None:
         experiments = Path("experiments")
         return experiments if experiments.is_dir() else Path()
     if not folder.is_dir():
-        raise SpecError(f"--specs {folder} is no folder", hint="name one that holds specs")
+        raise SpecError(f"--specs {folder} is not a folder", hint="pass a folder with specs")
     return folder

@@ -1,4 +1,4 @@
-"""Standard output and error as a command line needs them: a reader that leaves is no error."""
+"""Standard output and standard error for a command line; a closed pipe is not an error."""
 
 from __future__ import annotations
 
@@ -10,26 +10,28 @@ from hil.core import utf8_text
 
 
 class Stream:
-    """A text stream that survives what is at its other end.
+    """Text stream that handles a closed pipe and a full disk without a traceback.
 
-    When the reader of a pipe has gone (`hil runs | head`), the rest is dropped and the command
-    ends as it would have ended. Every other refusal of the system, such as a full disk, is raised
-    once; what is still buffered goes nowhere, so that leaving Python does not fail over it again.
+    If the reader of a pipe has closed the pipe (`hil runs | head`), further text is dropped, and
+    the command ends with its usual exit code. Any other error of the operating system, such as a
+    full disk, is raised one time; buffered text is then dropped, so that the exit of Python does
+    not fail again.
 
     Args:
-        stream: What is wrapped.
-        silent: Drop every failure: where errors are told, there is nowhere else to tell them.
+        stream: Wrapped stream.
+        silent: Whether to ignore every error; True for standard error, because there is no other
+            stream for reporting its errors.
     """
 
     def __init__(self, stream: TextIO, *, silent: bool = False) -> None:
         self._stream = stream
         self._silent = silent
         self.used = False
-        self.gone = False  # True once nobody reads any more, or nothing can be written
+        self.gone = False  # True after the reader has closed the pipe, or writing has failed
 
     def write(self, text: str) -> int:
-        """Write text; see the class for what fails."""
-        if text == "":  # a probe of typer's, which would take a failure for an answer
+        """Write text to the stream; the class describes the handling of errors."""
+        if text == "":  # typer writes an empty text to test the stream
             return 0
         self.used = True
         try:
@@ -39,7 +41,7 @@ class Stream:
             return len(text)
 
     def flush(self) -> None:
-        """Flush; see the class for what fails."""
+        """Flush the stream; the class describes the handling of errors."""
         try:
             self._stream.flush()
         except OSError as error:
@@ -58,10 +60,10 @@ class Stream:
 
 
 def guard_streams() -> Stream | None:
-    """Wrap both standard streams for the rest of this process.
+    """Wrap standard output and standard error for the rest of this process.
 
     Returns:
-        Standard output; None when the process was started without one.
+        Standard output; None if the process was started without standard output.
     """
     if sys.stderr is not None:
         sys.stderr = cast(TextIO, Stream(sys.stderr, silent=True))

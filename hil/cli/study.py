@@ -21,16 +21,19 @@ app = typer.Typer()
 def study(
     run: RunArgument,
     name: Annotated[
-        str, typer.Option("--study", "-s", help="Only this study, in the run's spec or not.")
+        str,
+        typer.Option(
+            "--study", "-s", help="Compute only this study, even if the spec does not list it."
+        ),
     ] = "",
     options: Annotated[
         list[str] | None,
-        typer.Option("--set", help="Study parameter as NAME=VALUE (YAML value)."),
+        typer.Option("--set", help="Study parameter as NAME=VALUE (YAML); repeatable."),
     ] = None,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Make the studies of a run (again), and its report: tables and figures of methods compared."""
+    """Compare methods on the data of a run: compute its studies and rewrite the report."""
     from hil import api
     from hil.runs import find_run
 
@@ -44,7 +47,8 @@ def validate_loads(
         list[Path] | None,
         typer.Option(
             "--model",
-            help="Folder of a model fitted without a load; none is fitted. Repeat for several.",
+            help="Folder of a model that was fitted without a payload; repeatable. No model is "
+            "fitted.",
         ),
     ] = None,
     estimator: Annotated[
@@ -52,19 +56,20 @@ def validate_loads(
         typer.Option(
             "--estimator",
             "-e",
-            help="Fitted to the first load; repeat for several. By default the run's own models "
-            "(validate: {under_loads: true}), or what its study names.",
+            help="Estimator to fit to the data of the first payload; repeatable. Default: the "
+            "models of the run (validate: {under_loads: true}), or the estimators of its "
+            "study.",
         ),
     ] = None,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Errors of models of the bare arm under a run's loads, and each declared load checked."""
+    """Check the declared payloads of a run and evaluate models of the bare arm with them."""
     from hil.runs import find_run
     from hil.workflow import STUDY
 
     if model and estimator:
-        raise SpecError("--model and --estimator exclude each other", hint="give one of them")
+        raise SpecError("--model and --estimator exclude each other", hint="pass one of them")
     parameters: dict[str, Any] = {}
     if model or estimator:
         parameters = {
@@ -75,7 +80,7 @@ def validate_loads(
 
 
 def _make(path: Path, name: str, parameters: Mapping[str, Any], json: bool) -> None:
-    """Make the studies of a run directory, or one by name, and print their results."""
+    """Compute all studies of a run, or one study by name, and print the results."""
     from hil.cli.progress import StudyLine
     from hil.report import render_report
     from hil.workflow import STUDY, entries_for, run_studies
@@ -86,7 +91,7 @@ def _make(path: Path, name: str, parameters: Mapping[str, Any], json: bool) -> N
             done = run_studies(path, entries, line.show, line.ended)
     except KeyboardInterrupt:
         verb = "validate-loads" if any(one.study == STUDY for one in entries) else "study"
-        message = "interrupted; studies that were made before are kept"
+        message = "interrupted; completed studies are kept"
         raise Stopped(message, hint=f"hil {verb} {path}", by_signal=True) from None
     page = render_report(path)
     if json:
@@ -97,14 +102,14 @@ def _make(path: Path, name: str, parameters: Mapping[str, Any], json: bool) -> N
     elif done.made or done.error is None:
         for folder, result in done.made:
             _print(result)
-            say(f"{result.study}: made in {duration(result.seconds)} → {folder}")
+            say(f"{result.study}: computed in {duration(result.seconds)} → {folder}")
         typer.echo(f"report: {page}")
     if done.error is not None:
         fail(done.error, json)
 
 
 def _print(result: "StudyResult") -> None:
-    """Print title, summary, warnings and tables, of some studies a short one in their place."""
+    """Print title, summary, warnings and tables of a study; for some studies, a shorter table."""
     from hil.report import columns_of, is_numeric
 
     for text in (result.title, *result.summary):
@@ -122,7 +127,7 @@ def _print(result: "StudyResult") -> None:
 
 
 def _tables(result: "StudyResult") -> "Iterator[tuple[str, Table]]":
-    """Yield the tables of a study with their titles; of load validation only the means."""
+    """Yield the tables of a study with their titles; for load validation, only the means."""
     from hil.report import protocol_mark
 
     for part in result.parts:
@@ -145,5 +150,5 @@ def means(errors: "Table") -> "Table":
         by_model.setdefault(model, {})[prediction] = mean
     predictions = list(dict.fromkeys(one for row in by_model.values() for one in row))
     rows = tuple((model, *(row.get(one) for one in predictions)) for model, row in by_model.items())
-    note = "Means over the joints; joints, declarations and identified loads are on the page."
+    note = "Means over the joints; the report has each joint, declared and identified loads."
     return Table(errors.key, errors.title, ("load, model", *predictions), rows, note)

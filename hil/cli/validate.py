@@ -1,4 +1,4 @@
-"""`hil validate`: is a YAML file right, with everything it names, before anything moves?"""
+"""`hil validate`: check a YAML file and all files that it names before a robot moves."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -31,7 +31,7 @@ def validate(
     set_: SetOption = None,
     json: JsonFlag = False,
 ) -> None:
-    """Check a spec, series or schedule and its station; all problems at once, with their places."""
+    """Check a spec, series or schedule and its station; report all problems with positions."""
     from hil.core import read_source
     from hil.spec import is_schedule, is_series
 
@@ -99,7 +99,7 @@ def _schedule(source: "Source", station: Path | None) -> tuple[dict[str, Any], l
 
 
 def _valid(experiments: Iterable["Experiment"]) -> dict[str, Any]:
-    """Return what every document ends with; warnings are about extras that fits need."""
+    """Return the end of all documents: validity, and warnings about extras that fits need."""
     from hil.workflow import missing_extras
 
     warnings = dict.fromkeys(text for one in experiments for text in missing_extras(one.spec))

@@ -1,6 +1,7 @@
-"""Uses of a fitted model: where an arm rests best, and how it follows a hand.
+"""Uses of a fitted model: rest poses, hand guiding, collision detection, and control trials.
 
-They see models, data and dynamics; where a robot's surroundings matter they are handed in.
+The modules of this folder use models, data and dynamics; the caller passes the surroundings of a
+robot if needed.
 """
 
 import lazy_loader

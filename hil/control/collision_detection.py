@@ -1,12 +1,14 @@
-"""Collisions of an arm with its surroundings, from a fitted model alone.
+"""Detection of collisions of an arm with its surroundings, based only on a fitted model.
 
-Three parts. The `MomentumObserver` sees external torques without accelerations (De Luca & Mattone
-2005, Haddadin, De Luca & Albu-Schäffer 2017). Its residual holds the model's errors too: the
-`CollisionThresholds` say how much of it those are while joints move, the `RestMargin` what friction
-may hide while one stands. What is more than both, with the same sign for the debounce time, comes
-from outside (`CollisionDetector`). Haddadin et al. 2017, sec. V-A, call this detection with
-isolation: the joint that is named is not always one of the link that was hit, since a force turns
-every joint between the base and that link.
+The collision detection has three parts: observer, thresholds and detector. The `MomentumObserver`
+estimates external torques without accelerations (De Luca & Mattone 2005, Haddadin, De Luca &
+Albu-Schäffer 2017). The residual of the observer also contains the prediction errors of the model:
+the `CollisionThresholds` bound these errors while joints move, and the `RestMargin` bounds the
+torque that friction can hide while a joint is static. If the residual exceeds the sum of threshold
+and rest margin with the same sign for the debounce time, the torque has an external cause
+(`CollisionDetector`). Haddadin et al. 2017, section V-A, call this method detection with isolation.
+The reported joint does not always belong to the link that was hit, because a force on a link loads
+every joint between the base and this link.
 """
 
 from __future__ import annotations
@@ -32,20 +34,21 @@ from hil.estimators import (
 from hil.export import rigid_parameters
 
 TIME_S = 1e-6
-"""Time stamps are no more exact than this."""
+"""Accuracy of the time stamps of samples [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Collision:
-    """A joint that something pushes.
+    """Detected external torque on a joint.
 
     Attributes:
-        joint: Its name; of several, the one that is furthest beyond its threshold.
-        index: Its place among the model's joints.
-        time_s: When it was told, in the samples' time.
-        since_s: When the joint's residual first exceeded the threshold.
-        torque: Residual [N·m], positive where the joint is pushed forwards.
-        threshold: What it exceeds [N·m].
+        joint: Name of the joint; if several joints exceed their thresholds, the joint that exceeds
+            its threshold most.
+        index: Index of the joint in the model.
+        time_s: Time of the detection on the clock of the samples [s].
+        since_s: Time at which the residual of the joint first exceeded the threshold [s].
+        torque: Residual of the joint [N·m], positive if the joint is pushed forwards.
+        threshold: Threshold that the residual exceeds [N·m].
     """
 
     joint: str
@@ -57,19 +60,21 @@ class Collision:
 
 
 class CollisionDetector:
-    """Looks at one sample after the other.
+    """Detector of collisions, sample by sample.
 
     Args:
-        model: Fitted, with a rigid body; a load that is no part of `payload` looks like a push.
-        payload: The load that is mounted, declared or identified.
-        thresholds: Those of the model's own uncertainty by default, see `CollisionThresholds`.
+        model: Fitted model with a rigid body. A load that is not part of `payload` acts like an
+            external torque.
+        payload: Payload that is mounted, declared or identified.
+        thresholds: Detection thresholds; by default derived from the uncertainty of the model, see
+            `CollisionThresholds`.
 
     Attributes:
-        thresholds: As given; the observer's gain and the debounce time are theirs.
+        thresholds: Detection thresholds, including the observer gain and the debounce time.
 
     Raises:
-        FitError: The model has no rigid body, or cannot tell torques.
-        SpecError: The thresholds are of other joints.
+        FitError: The model has no rigid body, or cannot predict torques.
+        SpecError: The thresholds belong to different joints.
     """
 
     def __init__(
@@ -82,9 +87,9 @@ class CollisionDetector:
         self.thresholds = thresholds or CollisionThresholds.of(model)
         if self.thresholds.joint_names != model.joint_names_:
             raise SpecError(
-                f"the thresholds are of {', '.join(self.thresholds.joint_names)}, the model of "
-                f"{', '.join(model.joint_names_)}",
-                hint="calibrate thresholds with the model that they are for",
+                f"the thresholds are for the joints {', '.join(self.thresholds.joint_names)}, "
+                f"the model is for {', '.join(model.joint_names_)}",
+                hint="calibrate the thresholds with this model",
             )
         self._observer = MomentumObserver(model, payload, gain=self.thresholds.gain)
         self._margin = RestMargin(self.thresholds.resting)
@@ -94,22 +99,24 @@ class CollisionDetector:
 
     @property
     def residual(self) -> FloatArray:
-        """(n,) external torque [N·m], a view that changes with every sample."""
+        """External torque (n,) [N·m]; the returned view changes with every sample."""
         return self._observer.residual
 
     def update(
         self, t: float, q: FloatArray, qd: FloatArray, effort: FloatArray
     ) -> Collision | None:
-        """A collision when it becomes one; None while there is none, and while the same goes on.
+        """Return a collision when it is first detected, otherwise None.
+
+        None is also returned while the same collision continues.
 
         Args:
             t: Time of the sample [s].
-            q: (n,) positions as measured [rad].
+            q: (n,) measured positions [rad].
             qd: (n,) velocities [rad/s].
-            effort: (n,) in the model's unit, current [A] or torque [N·m].
+            effort: (n,) effort in the unit of the model, current [A] or torque [N·m].
 
         Raises:
-            DataError: A value is not finite, of another shape, or time does not go on.
+            DataError: A value is not finite or has a wrong shape, or the time does not advance.
         """
         residual = self._observer.update(t, q, qd, effort)
         limit = self.thresholds.at(qd) + self._margin.update(t, qd)
@@ -118,7 +125,7 @@ class CollisionDetector:
         self._sign = sign
         pushed = (sign != 0.0) & (t - self._since >= self.thresholds.debounce_s - TIME_S)
         if not np.any(pushed):
-            # The same contact goes on as long as any joint feels it.
+            # The same contact continues as long as the residual of any joint exceeds its threshold.
             self._told = self._told and bool(np.any(sign))
             return None
         if self._told:
@@ -132,43 +139,49 @@ class CollisionDetector:
 
 
 QUANTILE = 6.0
-"""Deviations. Motions without load reach 3.2 on the mock, declared loads and rests need more."""
+"""Detection threshold in standard deviations of the model.
+
+The residual of motions without payload reaches 3.2 standard deviations on the mock robot; the
+residual of motions with declared payloads and of static phases reaches more.
+"""
 
 DEBOUNCE_S = 0.015
-"""Three samples at 125 Hz."""
+"""Debounce time [s], which is three samples at 125 Hz."""
 
 FALSE_ALARMS = 0.1
 
 GAIN = 40.0
-"""K [1/s]: a push shows by 63 % after 25 ms."""
+"""Observer gain K [1/s]; 63 % of an external torque is visible after 25 ms."""
 
 
 @dataclass(frozen=True, eq=False)
 class CollisionThresholds:
-    """A threshold per joint: how much of a residual is the model's own error.
+    """Threshold per joint, which bounds the residual that prediction errors of the model cause.
 
-    Two answers. Without further data (`of`): the model's own uncertainty (`sigma_`, or the
-    conformal bands of `residual`) times a quantile. Errors of models are no normal noise: they come
-    in peaks where joints turn round, so the quantile is what peaks on the mock need, and promises
-    nothing. The observer smooths a part of the noise that `sigma_` holds, never the slow errors;
-    its gain is not counted in.
+    The thresholds can be determined by two methods. Without further data (`of`), the threshold of a
+    joint is the uncertainty of the model (`sigma_`, or the conformal bands of `residual`) times a
+    quantile. Prediction errors are not normally distributed, because they have peaks where joints
+    reverse: the quantile is chosen for the peaks on the mock robot and guarantees no false-alarm
+    rate. The observer reduces a part of the noise contained in `sigma_` but not the slow prediction
+    errors; the threshold does not depend on the observer gain.
 
-    With motions without contact (`calibrated`): what the observer itself shows of them, noise, gain
-    and debounce included. Every other motion says how the joints compare, the others how far all
-    thresholds have to be raised: the split-conformal quantile of the motions' peaks (Vovk et al.
-    2005). A motion to come that is exchangeable with them then alarms with a probability of at most
-    `false_alarms`.
+    With data of motions without contact (`calibrated`), the thresholds are computed from the
+    residuals of the observer, including noise, gain and debounce time. One half of the motions
+    without contact determines the ratio between the thresholds of the joints. The other half of the
+    motions determines the common scale of the thresholds: the split-conformal quantile of the peaks
+    of the motions (Vovk et al. 2005). A future motion that is exchangeable with these calibration
+    motions then causes a false alarm with a probability of at most `false_alarms`.
 
     Attributes:
-        joint_names: n of them.
-        level: (n,) [N·m]; in `quantile` deviations where `bands` say the deviation.
-        resting: (n,) dry friction [N·m], which is added while a joint stands.
-        gain: K of the observer they hold for [1/s].
-        debounce_s: How long they have to be exceeded [s].
-        false_alarms: Largest probability of an alarm in a motion without contact, on average over
-            calibrations; None where nothing is promised.
-        bands: Of a model whose uncertainty depends on speed.
-        per_effort: (n,) torque per unit of the bands.
+        joint_names: Names of the n joints.
+        level: (n,) thresholds while joints move [N·m]; in standard deviations if `bands` is set.
+        resting: (n,) dry friction [N·m], added to the threshold while a joint is static.
+        gain: Observer gain K for which the thresholds are valid [1/s].
+        debounce_s: Time for which the residual must exceed a threshold [s].
+        false_alarms: Maximum false-alarm rate per motion without contact, on average over
+            calibrations; None if no rate is guaranteed.
+        bands: Speed-dependent uncertainty of the model; None if the uncertainty is constant.
+        per_effort: (n,) torque per unit of the effort in which the bands are expressed.
     """
 
     joint_names: tuple[str, ...]
@@ -189,16 +202,16 @@ class CollisionThresholds:
         gain: float = GAIN,
         debounce_s: float = DEBOUNCE_S,
     ) -> Self:
-        """Those of a model's own uncertainty.
+        """Return thresholds that follow from the uncertainty of a model.
 
         Args:
-            model: Fitted.
-            quantile: How many standard deviations are no collision.
-            gain: K of the observer [1/s].
-            debounce_s: How long they have to be exceeded [s].
+            model: Fitted model.
+            quantile: Threshold in standard deviations of the model.
+            gain: Observer gain K [1/s].
+            debounce_s: Time for which the residual must exceed a threshold [s].
 
         Raises:
-            SpecError: A setting is out of its range.
+            SpecError: A setting is outside its allowed range.
         """
         _require(gain, debounce_s)
         many = number("quantile", quantile, above=0.0)
@@ -218,19 +231,20 @@ class CollisionThresholds:
         gain: float = GAIN,
         debounce_s: float = DEBOUNCE_S,
     ) -> Self:
-        """Those of motions without contact, which the model has not learned from.
+        """Return thresholds from motions without contact that are not in the training data.
 
         Args:
-            model: Fitted.
-            dataset: Measured; one series is one motion, with its own declared load.
-            false_alarms: See the attribute; 2·(1/false_alarms − 1) motions are needed.
-            gain: K of the observer [1/s].
-            debounce_s: How long a threshold has to be exceeded [s].
+            model: Fitted model.
+            dataset: Measured data; each series is one motion, with its declared payload.
+            false_alarms: Maximum false-alarm rate, see the attribute; at least 2·(1/false_alarms −
+                1) motions are required.
+            gain: Observer gain K [1/s].
+            debounce_s: Time for which the residual must exceed a threshold [s].
 
         Raises:
-            SpecError: A setting is out of its range.
-            FitError: There are too few motions.
-            DataError: The data are of another robot, or not finite.
+            SpecError: A setting is outside its allowed range.
+            FitError: The data contain too few motions.
+            DataError: The data belong to a different robot, or are not finite.
         """
         _require(gain, debounce_s)
         rate = _share(false_alarms)
@@ -247,7 +261,7 @@ class CollisionThresholds:
         return cls(model.joint_names_, level, rest, gain, debounce_s, rate)
 
     def at(self, qd: FloatArray) -> FloatArray:
-        """(n,) thresholds [N·m] of joints that move with velocities (n,) [rad/s]."""
+        """Return thresholds (n,) [N·m] at joint velocities (n,) [rad/s]."""
         level = self.level
         if self.bands is not None and self.per_effort is not None:
             level = level * self.bands.deviation(qd) * self.per_effort
@@ -263,19 +277,22 @@ def _share(false_alarms: float) -> float:
     rate = number("false_alarms", false_alarms, above=0.0)
     if rate >= 1.0:
         raise SpecError(
-            f"false_alarms is {rate:g}, but must be below 1", hint="say 0.1 for one motion in ten"
+            f"false_alarms is {rate:g}, but must be below 1", hint="use 0.1 for one motion in ten"
         )
     return rate
 
 
 def _rank(motions: int, rate: float) -> int:
-    """Which of the judged motions' peaks, in ascending order, is the conformal quantile."""
+    """Return the rank of the conformal quantile among the ascending peaks of the motions.
+
+    Only the motions in the second half of the calibration data are ranked.
+    """
     judged = motions // 2
     rank = math.ceil((judged + 1) * (1.0 - rate) - 1e-9)
     if rank > judged:
         raise FitError(
-            f"{motions} motions without contact cannot promise an alarm in at most "
-            f"{rate:g} of the motions to come",
+            f"{motions} motions without contact cannot guarantee an alarm in at most "
+            f"{rate:g} of future motions",
             hint=f"record {2 * math.ceil(1.0 / rate - 1.0 - 1e-9)}, or ask for less",
         )
     return rank
@@ -290,7 +307,7 @@ def _peaks(
     gain: float,
     debounce_s: float,
 ) -> FloatArray:
-    """(n,) the highest thresholds that one motion would have alarmed at [N·m]."""
+    """Return the highest thresholds (n,) at which one motion would have caused an alarm [N·m]."""
     observer = MomentumObserver(model, load_of(condition), gain=gain)
     t = dataset["t"][rows]
     samples = zip(t, *(dataset[name][rows] for name in ("q", "qd", "effort")), strict=True)
@@ -306,35 +323,37 @@ def _peaks(
 
 
 ACCELERATION_S = 0.015
-"""Time constant of the acceleration that friction is told: about the 11 Hz of fits."""
+"""Time constant of the filtered acceleration used for friction [s]; corresponds to the cutoff of
+11 Hz in fits."""
 
 GAP_S = 0.1
-"""Over a longer pause between samples momentum cannot be followed."""
+"""Maximum pause between two samples over which the momentum is tracked [s]."""
 
 
 class MomentumObserver:
-    """The residual of any fitted model with a rigid body, one sample at a time.
+    """Momentum observer of a fitted model with a rigid body, sample by sample.
 
-    De Luca & Mattone 2005 (eq. 12), Haddadin, De Luca & Albu-Schäffer 2017 (sec. IV-E). With
-    p = M(q) q̇ the momentum obeys dp/dt = τ + τ_ext + Cᵀq̇ − g − friction, so that
+    Source: De Luca & Mattone 2005 (eq. 12), Haddadin, De Luca & Albu-Schäffer 2017 (section IV-E).
+    The momentum p = M(q) q̇ satisfies dp/dt = τ + τ_ext + Cᵀq̇ − g − friction. The residual r of
+    the observer is defined as
 
         r = K (p(t) − p(0) − ∫ (τ + Cᵀq̇ − g − friction + r) dt)
 
-    is τ_ext through a first-order filter of time constant 1/K. No acceleration is in it. Friction
-    that depends on the torque through the gears is told a filtered one; in the rigid body it
-    cancels.
+    The residual r equals τ_ext after a first-order filter with time constant 1/K and needs no
+    acceleration. A friction model that depends on the gear torque uses a filtered acceleration; in
+    the rigid-body terms, the filtered acceleration cancels.
 
     Args:
-        model: Fitted; what it says about friction is taken from its stream.
-        payload: The load that is mounted, declared or identified.
-        gain: K [1/s].
+        model: Fitted model; the stream of the model provides the friction.
+        payload: Payload that is mounted, declared or identified.
+        gain: Observer gain K [1/s].
 
     Attributes:
-        residual: (n,) external torque [N·m], positive where it pushes a joint forwards; the same
-            array all the time.
+        residual: (n,) external torque [N·m], positive if the torque pushes a joint forwards; always
+            the same array object.
 
     Raises:
-        FitError: The model has no rigid body, or cannot tell torques.
+        FitError: The model has no rigid body, or cannot predict torques.
         SpecError: `gain` is not a number above 0.
     """
 
@@ -351,7 +370,8 @@ class MomentumObserver:
         self.joint_names = model.joint_names_
         self.residual: FloatArray = np.zeros(self.n)
         self._acceleration = np.zeros(self.n)
-        # Two rows: the motion, and rest in the same place, whose difference is free of gravity.
+        # Two rows: the motion, and the same pose at rest; their difference does not contain
+        # gravity.
         self._motion = np.zeros((3, 2, self.n))
         self._time = -math.inf
         self._before: tuple[FloatArray, FloatArray, FloatArray] | None = None
@@ -362,12 +382,14 @@ class MomentumObserver:
         return len(self.joint_names)
 
     def update(self, t: float, q: FloatArray, qd: FloatArray, effort: FloatArray) -> FloatArray:
-        """The residual (n,) after a sample at time t [s]; `effort` is in the model's unit.
+        """Return the residual (n,) [N·m] after a sample at time t [s].
 
-        After a pause of more than `GAP_S` the residual starts again from 0.
+        The argument `effort` is in the unit of the model.
+
+        After a pause between samples of more than `GAP_S` seconds, the residual restarts from 0.
 
         Raises:
-            DataError: A value is not finite, of another shape, or time does not go on.
+            DataError: A value is not finite or has a wrong shape, or the time does not advance.
         """
         self._require_sample(t, q, qd, effort)
         dt, self._time = t - self._time, t
@@ -387,7 +409,7 @@ class MomentumObserver:
     def _momentum_and_rate(
         self, q: FloatArray, qd: FloatArray, effort: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Momentum (n,), and τ + Cᵀq̇ − g − friction (n,)."""
+        """Return the momentum (n,), and τ + Cᵀq̇ − g − friction (n,)."""
         a = self._acceleration
         expected = self._stream.step(q, qd, a)
         self._motion[0], self._motion[1, 0], self._motion[2, 0] = q, qd, a
@@ -401,26 +423,31 @@ class MomentumObserver:
             if np.shape(row) != (self.n,) or not np.all(np.isfinite(row)):
                 raise DataError(
                     f"at {t} s the {name} is {row}, but must be {self.n} finite numbers",
-                    hint="stop the arm: its sensors are not read",
+                    hint="stop the arm: its sensor values are invalid",
                 )
         if not math.isfinite(t) or t <= self._time:
             raise DataError(
-                f"a sample at {t} s follows one at {self._time} s",
-                hint="give each sample once, in the order of time",
+                f"a sample at {t} s follows a sample at {self._time} s",
+                hint="pass each sample once, in the order of time",
             )
 
 
 FADES_S = 0.1
-"""Time constant after a start: the way in which friction comes round, and the observer's lag."""
+"""Time constant with which the rest margin decreases after a joint starts to move [s].
+
+The time constant covers the reversal of friction and the delay of the observer.
+"""
 
 
 class RestMargin:
-    """Dry friction of joints that stand, or stood just before.
+    """Additional threshold for joints that are static or were static a short time before.
 
-    A joint at rest holds any torque up to its dry friction without moving, and how much it holds
-    changes unseen: a controller's integral unwinds, a gear creeps. No model of the motion knows
-    this torque, so that much less of a residual is a collision while a joint stands, and a while
-    after.
+    The additional threshold is the dry friction of the joint.
+
+    A static joint holds any torque up to its dry friction, and the held torque changes without
+    visible motion: the integral part of a controller changes slowly, a gear creeps. No motion model
+    predicts this held torque, so that the threshold is higher while a joint is static and for a
+    short time afterwards.
 
     Args:
         level: (n,) dry friction [N·m].
@@ -432,7 +459,7 @@ class RestMargin:
         self._time: float | None = None
 
     def update(self, t: float, qd: FloatArray) -> FloatArray:
-        """(n,) margin [N·m] after a sample at time t [s] with velocities (n,) [rad/s]."""
+        """Return the rest margin (n,) [N·m] after a sample at time t [s] and velocity qd."""
         passed = 0.0 if self._time is None else t - self._time
         self._time = t
         self._share *= math.exp(-passed / FADES_S)

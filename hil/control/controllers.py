@@ -1,7 +1,8 @@
-"""What a controller of joints gives: a PD spring, and four laws ahead of any error.
+"""Joint controllers: a PD controller (spring), and four feed-forward laws.
 
-The spring (`spring_for`) is made from what the maker publishes, so that all laws share it. The laws
-(`feed_forwards`) reach from nothing to the whole model.
+The gains of the PD controller (`spring_for`) depend only on data published by the manufacturer, so
+that all feed-forward laws use the same gains. The feed-forward laws (`feed_forwards`) range from no
+feed-forward to the full model.
 """
 
 from __future__ import annotations
@@ -23,23 +24,24 @@ from hil.networks import ResidualNetwork
 NOTHING, GRAVITY, NOMINAL, MODEL = "no model", "gravity", "datasheet arm", "model"
 
 UNIDENTIFIED = (NOTHING, NOMINAL)
-"""Laws for which nobody has to identify anything."""
+"""Names of the feed-forward laws that need no identification."""
 
 TOLD = {
-    NOTHING: "the PD controller alone",
-    GRAVITY: "the model's gravity (and load, and offset) at the position wanted",
-    NOMINAL: "rigid body with the maker's masses, without friction and rotors",
-    MODEL: "everything the model says of the motion wanted: Predictor, friction and network",
+    NOTHING: "PD controller only",
+    GRAVITY: "gravity, payload and offset of the model at the commanded position",
+    NOMINAL: "rigid body with the manufacturer's masses, without friction and rotors",
+    MODEL: "complete model of the commanded motion: Predictor, friction and network",
 }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """What the joints are to do, at `RATE_HZ`; the first second is at rest.
+    """Reference motion of the joints, sampled at `RATE_HZ`; static during the first second.
 
     Attributes:
-        t: (N,) time from the beginning of the motion [s], negative before it.
-        q, qd, qdd: (N, n) [rad, rad/s, rad/s²].
+        t: (N,) time since the beginning of the motion [s]; negative in the static phase before the
+            motion.
+        q, qd, qdd: (N, n) position, velocity, acceleration [rad, rad/s, rad/s²].
     """
 
     t: FloatArray
@@ -51,13 +53,13 @@ class Reference:
 def feed_forwards(
     model: RobotEstimator, payload: Payload, reference: Reference, gains: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
-    """Every law's name and torque (N, n) [N·m] along the reference.
+    """Yield name and torque (N, n) [N·m] of every feed-forward law along the reference.
 
     Args:
-        model: Fitted.
-        payload: What is mounted.
-        reference: N samples.
-        gains: (n,) torque per current of the arm's controller [N·m/A].
+        model: Fitted model.
+        payload: Mounted payload.
+        reference: Reference motion of N samples.
+        gains: (n,) drive gains that the controller uses, torque per current [N·m/A].
     """
     per_effort = gains if model.effort_kind_ == "current" else np.ones_like(gains)
     yield NOTHING, np.zeros_like(reference.q)
@@ -69,28 +71,28 @@ def feed_forwards(
 
 
 def nominal(robot: RobotModel, payload: Payload, reference: Reference) -> FloatArray:
-    """(N, n) torque [N·m] of the arm as its maker describes it."""
+    """Return the (N, n) torque [N·m] predicted with the parameters of the manufacturer."""
     loaded = as_made(robot, payload)
     return loaded.inverse_dynamics(reference.q, reference.qd, reference.qdd)
 
 
 def as_made(robot: RobotModel, payload: Payload) -> RobotModel:
-    """The arm as its maker describes it, with a load."""
+    """Return the arm with the parameters of the manufacturer and a payload."""
     return robot if payload.is_empty else robot.with_payload(payload)
 
 
 def predicted(model: RobotEstimator, payload: Payload, reference: Reference) -> FloatArray:
-    """(N, n) effort of the whole model, in its unit.
+    """Return the (N, n) effort of the full model, in the unit of the model.
 
-    A network's memory counts samples: it is asked at the rate of its training, ahead of time,
-    and its answers are joined by straight lines.
+    Networks with memory need a fixed sample rate: the model is evaluated in advance at the rate of
+    its training data, and the efforts are interpolated linearly.
     """
     rate = rate_of(model)
     count = round((reference.t[-1] - reference.t[0]) * rate)
     t = reference.t[0] + np.arange(count + 1) / rate
     q, qd, qdd = (_at(t, reference.t, rows) for rows in (reference.q, reference.qd, reference.qdd))
     predictor = Predictor(model, payload)
-    # A compiled predictor gives the same array every time.
+    # A compiled predictor returns the same array every time.
     effort = np.array([predictor.step(*row).copy() for row in zip(q, qd, qdd, strict=True)])
     return effort if len(t) == len(reference.t) else _at(reference.t, t, effort)
 
@@ -100,7 +102,10 @@ def _at(t: FloatArray, known: FloatArray, rows: FloatArray) -> FloatArray:
 
 
 def rate_of(model: RobotEstimator) -> float:
-    """Samples per second that the model has to be asked at [Hz]; the controller's where any do."""
+    """Return the sample rate that the model needs [Hz].
+
+    The returned rate is the rate of the controller if the model works at any rate.
+    """
     if isinstance(model, ResidualNetwork) and np.any(model.correction_.kept):
         return model.correction_.networks[0].rate_hz
     return RATE_HZ
@@ -110,13 +115,16 @@ BANDWIDTH_RAD_S = 20.0
 DAMPING = 0.7
 
 FULL_RAD = 0.35
-"""Deflection that takes the whole torque limit, at most: nominal inertias lack the rotors, which
-are most of a wrist's."""
+"""Maximum deflection of the PD controller, which causes the full torque limit [rad].
+
+Nominal inertias do not contain the rotors, which dominate the inertia of a wrist joint; therefore
+the stiffness has a lower bound.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spring:
-    """A spring and a damper per joint.
+    """PD controller: one spring and one damper per joint.
 
     Attributes:
         stiffness: (n,) [N·m/rad].
@@ -127,16 +135,16 @@ class Spring:
     damping: FloatArray
 
     def torque(self, error: FloatArray, rate: FloatArray) -> FloatArray:
-        """(n,) [N·m] for a position error (n,) [rad] and its rate (n,) [rad/s]."""
+        """Return the torque (n,) [N·m] for errors (n,) [rad] of the position and their rates."""
         return self.stiffness * error + self.damping * rate
 
     def firmer(self, factor: float) -> Spring:
-        """With so many times the bandwidth."""
+        """Return the PD controller with its bandwidth multiplied by `factor`."""
         return Spring(self.stiffness * factor**2, self.damping * factor)
 
 
 def spring_for(robot: RobotModel, q: FloatArray) -> Spring:
-    """PD gains for the inertia that each joint carries on average over the poses `q` (N, n)."""
+    """Return PD gains for the mean inertia of each joint over the poses `q` (N, n)."""
     inertia = np.diagonal(robot.mass_matrix(q), axis1=1, axis2=2).mean(axis=0)
     stiffness = np.maximum(inertia * BANDWIDTH_RAD_S**2, robot.effort_max / FULL_RAD)
     return Spring(stiffness, 2 * DAMPING * stiffness / BANDWIDTH_RAD_S)

@@ -1,31 +1,36 @@
-"""Leading an arm by hand: drives carry its weight and most of its dry friction (static paper, I).
+"""Hand guiding: the drives compensate gravity and most of the dry friction (static paper, I).
 
-What a drive has to give so that a person feels little of the arm is what the model says about it at
-rest, plus a share of the friction in the direction in which the joint moves:
+An operator feels little of the arm if the drives apply the static effort predicted by the model,
+plus a share of the friction in the direction of the joint motion:
 
     effort = (gravity(q) + load(q)) / K + offset + share · friction / K · ramp(qd)
 
 `ramp` is 0 within a dead band, rises smoothly and is ±1 from `full_speed` on.
 
-**Why the share is below 1.** Friction takes the power F·|qd| out of a joint, the compensation
-puts at most share·F_model·|qd| into it. As long as share·F_model < F the sum is negative at every
-speed: the arm cannot drive itself, whatever the hand, the noise or the delay of the controller do,
-and it comes to rest when it is let go. F_model is not F: a straight line through viscous friction
-that is steepest at low speed meets the axis too high (on the mock's arms `rigid-wls` finds 1.1 to
-1.9 times the dry friction), warm joints have less (some 0.4 % per kelvin), and it changes with
-wear. Half of 1.9 is still below 1, hence the default. With the friction of a type test or a
-measurement at low speed 0.7 is safe. Nothing is compensated within the dead band: a joint at rest
-keeps all of its stick friction, which holds what the model does not know of gravity.
+**Why the share is below 1.** Friction removes the power F·|qd| from a joint, and the friction
+compensation adds at most the power share·F_model·|qd|. As long as share·F_model < F, the sum of the
+two powers is negative at every speed. With a negative power balance the arm cannot drive itself,
+whatever the operator, the noise or the delay of the controller do, and the arm comes to rest when
+it is released. The modelled friction F_model differs from the real friction F for three reasons. A
+straight line that is fitted to viscous friction, which is steepest at low speed, has a too large
+intercept (on the arms of the mock robot, `rigid-wls` identifies 1.1 to 1.9 times the dry friction).
+Warm joints have less friction (about 0.4 % per kelvin). Friction changes when the gears wear. Half
+of 1.9 times the dry friction is still below the real friction, so that the default share is 0.5. If
+the friction comes from a type test or a measurement at low speed, a share of 0.7 is safe. Friction
+is not compensated within the dead band: a static joint keeps all of its stick friction, which holds
+the arm against gravity errors of the model.
 
-**Low-pass the velocity** (`LowPass`, 10 Hz). Fed with velocities as they are measured at 1 kHz,
-wrists of the mock do not come to rest: they tremble by a millirad at 20 to 30 Hz. Over so short a
-way friction is much of a spring, which takes no power out: the argument above fails.
+**Low-pass filter of the velocity** (`LowPass`, cutoff frequency 10 Hz). With unfiltered velocities
+at 1 kHz, the wrists of the mock robot do not come to rest: they oscillate by one millirad at 20 to
+30 Hz. Over a distance of one millirad, friction acts mostly like a spring, which removes no power,
+so that the argument about the share does not hold.
 
-**What a person feels.** All of the stick friction until a joint moves, then 1 − share of the dry
-friction, all of the viscous friction and the inertia. A joint that moves drifts on by itself where
-gravity is wrong by more than `drift_margin`.
+**Forces felt by the operator.** The operator feels the full stick friction until a joint moves.
+While the joint moves, the operator feels 1 − share of the dry friction, all of the viscous friction
+and the inertia. A moving joint continues to move by itself if the gravity error of the model
+exceeds `drift_margin`.
 
-Gravity is computed every cycle, so `GravityChain` has it in plain arithmetic.
+Gravity is computed in every control cycle, so that `GravityChain` uses fast scalar arithmetic.
 """
 
 from __future__ import annotations
@@ -49,26 +54,30 @@ from hil.export import plain_friction
 
 
 class HandGuiding:
-    """Effort per sample that lets an arm be led by hand; it has no memory.
+    """Control law for hand guiding: effort per sample of an arm.
+
+    The law has no memory.
 
     Args:
-        model: Any fitted model with a gravity part.
-        payload: What is mounted; needs a model that knows torques.
-        friction: (n,) dry friction [N·m]; by default the model's.
-        friction_share: How much of it is compensated, from 0 to below 1.
-        dead_band: Below this speed nothing is [rad/s]: above the noise of the velocity at rest.
-        full_speed: From this speed on the whole share is [rad/s].
-        limit: (n,) largest effort in the model's unit; by default the robot's torque limits.
+        model: Fitted model of any kind with a gravity part.
+        payload: Payload that is mounted; requires a model that predicts torques.
+        friction: (n,) dry friction [N·m]; by default the dry friction of the model.
+        friction_share: Share of the dry friction that is compensated, from 0 to below 1.
+        dead_band: Speed below which no friction is compensated [rad/s]; must exceed the velocity
+            noise at rest.
+        full_speed: Speed from which the whole share of the friction is compensated [rad/s].
+        limit: (n,) maximum effort in the unit of the model; by default the torque limits of the
+            robot.
 
     Attributes:
-        joint_names: Length n.
-        unit: `A` or `N·m`, of the efforts.
-        drift_margin: (n,) error of gravity [N·m] that a moving joint stands without drifting on,
-            if friction is what it was taken for; infinite where none is compensated.
+        joint_names: Names of the n joints.
+        unit: Unit of the efforts: `A` or `N·m`.
+        drift_margin: (n,) gravity error [N·m] up to which a moving joint stops by itself, if the
+            friction values are correct; infinite if no friction is compensated.
 
     Raises:
-        FitError: The model has no gravity, or lacks friction or drive gains that are needed.
-        SpecError: A setting cannot be.
+        FitError: The model has no gravity part, or lacks the required friction or drive gains.
+        SpecError: A setting is outside its allowed range.
     """
 
     def __init__(
@@ -85,7 +94,7 @@ class HandGuiding:
         if not 0.0 <= friction_share < 1.0:
             raise SpecError(
                 f"friction_share is {friction_share!r}, but must be at least 0 and below 1",
-                hint="an arm whose friction is compensated wholly can drive itself",
+                hint="an arm with completely compensated friction can move by itself",
             )
         if not 0.0 < dead_band < full_speed < math.inf:
             raise SpecError(
@@ -113,26 +122,29 @@ class HandGuiding:
         return len(self.joint_names)
 
     def __call__(self, q: FloatArray, qd: FloatArray) -> FloatArray:
-        """(n,) effort for positions [rad] and velocities [rad/s] (n,); see `write`."""
+        """Return the effort (n,) for positions (n,) [rad] and velocities (n,) [rad/s]."""
         out = np.empty(self.n)
         self.write(q, qd, out)
         return out
 
     def write(self, q: FloatArray, qd: FloatArray, out: FloatArray) -> None:
-        """The same into an array there is already, for loops that must not allocate.
+        """Write the effort for a position and velocity into an existing array.
+
+        The method is for loops that must not allocate memory.
 
         Raises:
-            DataError: A position or velocity is not finite; `out` is then zeros. The arm falls
-                with zeros too: whoever calls has to brake.
+            DataError: A position or velocity is not finite; all elements of `out` are then zero.
+                The arm falls with zero effort, so that the caller must apply the brakes after a
+                `DataError`.
         """
         held, speeds = self._held, qd.tolist()
-        # min() and max() below would make a full torque of NaN.
+        # min() and max() below would convert NaN to the full torque.
         for j, (angle, speed) in enumerate(zip(q.tolist(), speeds, strict=True)):
             if not (math.isfinite(angle) and math.isfinite(speed)):
                 out[:] = 0.0
                 raise DataError(
                     f"{self.joint_names[j]}: position {angle} rad, velocity {speed} rad/s",
-                    hint="brake the arm: its sensors are not read",
+                    hint="brake the arm: its sensor values are invalid",
                 )
         self._gravity(q, held)
         for j in range(self.n):
@@ -141,7 +153,7 @@ class HandGuiding:
             out[j] = min(self._limit[j], max(-self._limit[j], effort))
 
     def _direction(self, speed: float) -> float:
-        """−1 to 1, smooth, and 0 within the dead band."""
+        """Return the smooth direction of motion, −1 to 1, which is 0 within the dead band."""
         beyond = (abs(speed) - self._dead_band) / self._ramp
         if beyond <= 0.0:
             return 0.0
@@ -153,18 +165,18 @@ class HandGuiding:
 def _friction_of(
     model: RobotEstimator, friction: Sequence[float] | FloatArray | None
 ) -> FloatArray:
-    """(n,) dry friction [N·m].
+    """Return the dry friction (n,) [N·m] that is used for hand guiding.
 
     Raises:
-        FitError: Neither the model nor anybody else says it.
-        SpecError: It is no list of n levels.
+        FitError: Neither the model nor the caller provides the dry friction.
+        SpecError: `friction` is not a list of n values.
     """
     if friction is None:
         known = _level_of(model)
         if known is None or not known.any():
             raise FitError(
-                f"the model {model.estimator} does not know the dry friction",
-                hint="give it as friction=[…] in N·m, fit an estimator with a friction part "
+                f"the model {model.estimator} contains no dry friction",
+                hint="pass it as friction=[…] in N·m, fit an estimator with a friction part "
                 "(rigid-wls, static-coulomb), or set friction_share=0",
             )
         return known
@@ -172,18 +184,21 @@ def _friction_of(
 
 
 def _level_of(model: RobotEstimator) -> FloatArray | None:
-    """(n,) what the model says, or what its sliding friction shows; None of an arm at rest only."""
+    """Return the dry friction (n,) [N·m] of the model; None if it is unknown.
+
+    If the model has no dry-friction parameter, the sliding friction of a dynamic model is used.
+    """
     known = dry_friction(model)
     moves = any("trajectory" in kinds for kinds in model.series_kinds)
     return resting_friction(model) if known is None and moves and model.knows_gains else known
 
 
 SLIDING_HZ = 100.0
-"""Samples of the motion at which a model is asked for friction that slides."""
+"""Sample rate of the motion used to evaluate the sliding friction of a model [Hz]."""
 
 
 def resting_friction(model: RobotEstimator) -> FloatArray:
-    """(n,) dry friction of a model [N·m]: its own parameter, or what its sliding friction shows."""
+    """Return the dry friction (n,) [N·m], a parameter or derived from sliding friction."""
     known = dry_friction(model)
     return plain_friction(model, SLIDING_HZ)[0] if known is None else known
 
@@ -200,9 +215,9 @@ def _limit_of(model: RobotEstimator, limit: Sequence[float] | FloatArray | None)
         return _levels("limit", limit, len(model.joint_names_))
     if not model.knows_gains:
         raise FitError(
-            "the model was fitted to currents without drive gains: its robot's torque limits are "
-            "no limits of currents",
-            hint="give them as limit=[…] in A",
+            "the model was fitted to currents without drive gains, and torque limits in N·m do "
+            "not limit currents",
+            hint="pass current limits as limit=[…] in A",
         )
     most: FloatArray = model.robot_.effort_max / model.torque_scale_
     return most
@@ -211,7 +226,10 @@ def _limit_of(model: RobotEstimator, limit: Sequence[float] | FloatArray | None)
 def _gravity_of(
     model: RobotEstimator, payload: Payload | None
 ) -> Callable[[FloatArray, list[float]], None]:
-    """Writes gravity and load [N·m] at a position (n,) into a list of n numbers."""
+    """Return a function that writes the static torque [N·m] at a position into a list.
+
+    The static torque is caused by gravity of arm and payload.
+    """
     if model.knows_gains or (payload is not None and not payload.is_empty):
         chain = GravityChain.of(model, payload)
         if chain is not None:
@@ -231,29 +249,30 @@ def _gravity_of(
 Vector = tuple[float, float, float]
 
 Rotation = tuple[Vector, Vector, Vector]
-"""Three rows."""
+"""Rotation matrix as a tuple of three rows."""
 
 MOMENTS = slice(0, 4)
-"""Mass and first moment among the parameters of a link."""
+"""Indices of mass and first moment among the parameters of a link."""
 
 SAMPLES = 60
-"""Poses at which a model is compared with its chain."""
+"""Number of poses at which the gravity of a model is compared with its chain."""
 
 EXACT = 1e-6
-"""Largest error of a chain that stands for a model, as a share of the largest torque."""
+"""Maximum allowed error of the torques of a chain, as a share of the largest torque."""
 
 IDENTITY: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Link(NamedTuple):
-    """A joint and the link behind it.
+    """Joint of a chain and the link behind the joint.
 
     Attributes:
-        turn, shift: Placement of the joint's frame in the one before, at q = 0 [m].
-        axis: Of the joint, in its own frame.
-        turns: Whether it turns about its axis or slides along it.
-        mass: Of the link [kg].
-        moment: First moment of the link in the joint's frame [kg·m].
+        turn, shift: Rotation and translation [m] of the joint frame relative to the previous frame
+            at q = 0.
+        axis: Joint axis in the joint frame.
+        turns: Whether the joint is a rotary joint; otherwise the joint slides along its axis.
+        mass: Mass of the link [kg].
+        moment: First moment of the link in the joint frame [kg·m].
     """
 
     turn: Rotation
@@ -265,23 +284,24 @@ class Link(NamedTuple):
 
 
 class GravityChain:
-    """Gravity torques from the first moments of links.
+    """Computation of gravity torques from the masses and first moments of links.
 
-    Gravity knows four numbers of a link, its mass and its first moment. With those of a chain, one
-    walk from the base to the flange places the links and one walk back sums up what hangs on each
-    joint:
+    Gravity torques depend on four numbers per link, its mass and its first moment. One pass from
+    the base to the flange computes the link poses, and one pass back to the base sums the masses
+    and moments behind each joint:
 
         τ_j = −g · (a_j × (H_j − M_j p_j))    turning joint
         τ_j = −g · a_j M_j                    sliding joint
 
-    with a_j and p_j axis and origin of joint j, M_j and H_j mass and first moment of everything
-    behind it, all in the base frame. There is no matrix library in it, so that it can become C line
-    by line.
+    In these formulas, a_j and p_j are the axis and origin of joint j, and M_j and H_j are the mass
+    and first moment of all links behind joint j, in the base frame. The code uses no matrix
+    library, so that it can be translated to C line by line.
 
     Args:
-        robot: Says where the joints are and where gravity points.
-        moments: (n, 4) mass [kg] and first moment [kg·m] of each link in its joint's frame. Only
-            combinations of them show in torques, so they need not be those of the real links.
+        robot: Robot model that contains the joint geometry and the gravity vector.
+        moments: (n, 4) mass [kg] and first moment [kg·m] of each link in its joint frame. Only
+            combinations of masses and moments affect the torques, so that these values need not be
+            the values of the real links.
     """
 
     def __init__(self, robot: RobotModel, moments: FloatArray) -> None:
@@ -303,13 +323,15 @@ class GravityChain:
 
     @classmethod
     def of(cls, model: RobotEstimator, payload: Payload | None = None) -> GravityChain | None:
-        """The chain with the gravity of a model and its load; None where there is none.
+        """Return the chain with the gravity of a model and its payload.
 
-        There is one for every model of a rigid body. Joints that were fitted each by itself
-        (eq. 15 of the static paper) agree on no chain.
+        The function returns None if no chain has the gravity torques of the model.
+
+        A chain exists for every model of a rigid body. Joint models that were fitted independently
+        (eq. 15 of the static paper) are not consistent with a chain.
 
         Raises:
-            FitError: The model has no gravity, or cannot tell torques.
+            FitError: The model has no gravity part, or cannot predict torques.
         """
         robot = model.robot_
         q = np.random.default_rng(0).uniform(-np.pi, np.pi, (SAMPLES, robot.n))
@@ -323,7 +345,7 @@ class GravityChain:
         return cls(robot, moments.reshape(robot.n, -1))
 
     def write(self, q: FloatArray, out: list[float]) -> None:
-        """Write the torques [N·m] that hold the arm at `q` (n,) [rad] into `out`, n numbers."""
+        """Write the holding torques [N·m] at `q` (n,) [rad] into the list `out` of length n."""
         turn, at = IDENTITY, (0.0, 0.0, 0.0)
         placed = []
         for link, angle in zip(self.links, q.tolist(), strict=True):
@@ -338,7 +360,7 @@ class GravityChain:
         self._sum_up(placed, out)
 
     def _sum_up(self, placed: Sequence[tuple[Vector, Vector, Vector]], out: list[float]) -> None:
-        """From axis, origin and first moment of each link to torques, flange to base."""
+        """Compute torques from axis, origin and first moment of each link, flange to base."""
         gx, gy, gz = self.gravity
         mass = hx = hy = hz = 0.0
         for j in range(len(placed) - 1, -1, -1):
@@ -390,7 +412,7 @@ def _product(one: Rotation, other: Rotation) -> Rotation:
 
 
 def _about(axis: Vector, angle: float) -> Rotation:
-    """Rotation by `angle` [rad] about an axis of length 1 (Rodrigues)."""
+    """Return the matrix of the rotation by `angle` [rad] about a unit axis (Rodrigues)."""
     x, y, z = axis
     s, c = math.sin(angle), math.cos(angle)
     k = 1.0 - c
@@ -402,27 +424,27 @@ def _about(axis: Vector, angle: float) -> Rotation:
 
 
 class LowPass:
-    """What is slow in a signal (n,); it begins at zero.
+    """First-order low-pass filter of a signal (n,) with initial value zero.
 
     Args:
-        cutoff_hz: Where half of the power is left.
-        rate_hz: Of the samples.
+        cutoff_hz: Frequency at which half of the signal power passes the filter [Hz].
+        rate_hz: Sample rate of the signal [Hz].
 
     Raises:
-        SpecError: The cutoff is not between 0 and half the rate.
+        SpecError: The cutoff frequency is not between 0 and half the sample rate.
     """
 
     def __init__(self, cutoff_hz: float, rate_hz: float) -> None:
         if not 0.0 < cutoff_hz < rate_hz / 2 < math.inf:
             raise SpecError(
-                f"a cutoff of {cutoff_hz!r} Hz at {rate_hz!r} samples a second cannot be",
-                hint="it must be above 0 and below half the rate",
+                f"a cutoff of {cutoff_hz!r} Hz at {rate_hz!r} samples per second is invalid",
+                hint="use a cutoff above 0 and below half the sample rate",
             )
         self._share = -math.expm1(-2 * math.pi * cutoff_hz / rate_hz)
         self._held: FloatArray | None = None
 
     def __call__(self, values: FloatArray) -> FloatArray:
-        """(n,) the filtered signal after one more sample (n,)."""
+        """Return the filtered signal (n,) after one more sample (n,)."""
         held = np.zeros_like(values) if self._held is None else self._held
         self._held = held + self._share * (values - held)
         return self._held

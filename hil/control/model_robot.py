@@ -1,4 +1,4 @@
-"""The robot of a station that a model is of, and what stands around it."""
+"""Search for the robot of a station that matches a model, with its surroundings."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from hil.planning import BUILT_IN, find_station
 from hil.spec import StationRobot
 
 GRAVITY_TOLERANCE = 0.05
-"""[m/s²]"""
+"""Maximum difference of two gravity vectors for mountings that count as equal [m/s²]."""
 
 
 def place_of(
     model: RobotEstimator, station: Path | None, robot: str | None
 ) -> tuple[StationRobot, str]:
-    """The model's robot in its station, and what stands around it in words.
+    """Return the robot of the model in its station, and a description of its surroundings.
 
     Raises:
-        SpecError: The station has no such robot, several, or one that is another arm.
+        SpecError: The station has no such robot, several such robots, or the robot is a different
+            arm.
     """
     described_station, _, source = find_station(Path().resolve(), station)
     robots = described_station.robots
@@ -44,7 +45,7 @@ def place_of(
     if len(fitting) != 1:
         listed = ", ".join(fitting) or "none"
         raise SpecError(
-            f"{source}: robots that are a {kind} mounted as the model's: {listed}",
+            f"{source}: robots of model {kind} with the mounting of the fitted model: {listed}",
             hint="choose one with --robot NAME" if fitting else "choose another --station",
         )
     return robots[fitting[0]], f"{fitting[0]} of {source}"
@@ -53,14 +54,14 @@ def place_of(
 def _require_same_arm(model: RobotEstimator, name: str, robot: StationRobot) -> None:
     if robot.model != model.robot_.name:
         raise SpecError(
-            f"the model is of a {model.robot_.name}, {name} is a {robot.model}",
+            f"the model is for a {model.robot_.name}, but {name} is a {robot.model}",
             hint="choose the robot the model was fitted for",
         )
     if not _same_mount(model, robot):
         raise SpecError(
             f"the model is for gravity {model.robot_.gravity_vector.tolist()} m/s² in the base "
             f"frame, {name} is mounted under {list(robot.gravity_m_s2)}",
-            hint="a model of an arm mounted differently needs a fit of its own",
+            hint="fit a model of this arm: its mounting differs",
         )
 
 

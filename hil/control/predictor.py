@@ -1,8 +1,8 @@
-"""A fitted model in a loop: one sample in, effort and its parts out.
+"""Sample-wise evaluation of a fitted model: one motion sample in, effort and its parts out.
 
-`Predictor` is the C program of the model, compiled when it is asked for and called through ctypes,
-or the model's own stream where that cannot be. Machine code is optimised for this machine, so it is
-compared with the model's stream before it is used (`CompiledProgram`).
+The class `Predictor` compiles the C program of the model and calls it through ctypes, or uses the
+Python stream of the model if compilation is not possible. The machine code is optimized for this
+computer; `CompiledProgram` therefore compares its efforts with the stream of the model before use.
 """
 
 from __future__ import annotations
@@ -33,27 +33,30 @@ from hil.export import (
 
 
 class Predictor:
-    """What a model says of each sample of a motion, as it comes.
+    """Prediction of the effort of a model for each sample of a motion.
 
-    Where a C compiler is found and the model is of a kind that is exported, it is machine code that
-    was compared with the model, and allocates nothing in steady state; else it is the model's own
-    stream, slower and without parts. It has one state, so it belongs to one thread at a time.
-    Friction and networks remember: feed every sample, at the rate of the training.
+    If a C compiler is available and the kind of model can be exported, the predictor uses machine
+    code. The machine code is compared with the model before use and allocates no memory after the
+    first samples. If machine code is not possible, the predictor uses the Python stream of the
+    model, which is slower and returns no parts. A predictor has one internal state, so that only
+    one thread at a time can use the predictor. Friction models and networks have memory: the caller
+    must pass every sample, at the sample rate of the training data.
 
     Args:
-        model: Fitted.
-        payload: What is mounted.
-        compiled: True insists on machine code, False on Python; None takes what there is.
+        model: Fitted model.
+        payload: Mounted payload.
+        compiled: Whether machine code is required: True requires machine code, False requires
+            Python, None uses machine code if possible.
 
     Attributes:
-        compiled: Which it is.
+        compiled: Whether the predictor uses machine code.
 
     Raises:
-        FitError: The program does not compile or agree with the model, or `compiled` is asked for
-            and the model is of a kind that is not exported.
-        PluginError: The compiler makes nothing that runs here, or `compiled` is asked for and
-            there is none.
-        SpecError: `model` is no model (but perhaps its path), or `payload` is no `Payload`.
+        FitError: The program does not compile or its efforts differ from the model; or `compiled`
+            is true, and the kind of model cannot be exported.
+        PluginError: The compiled program does not run on this computer; or `compiled` is true, and
+            no C compiler is installed.
+        SpecError: `model` is not a model (for example its path), or `payload` is not a `Payload`.
     """
 
     def __init__(
@@ -71,7 +74,7 @@ class Predictor:
         self.reset()
 
     def reset(self) -> None:
-        """Begin afresh with the next sample; the load stays."""
+        """Reset the state of the model before the next sample; the payload remains set."""
         if self._program is None:
             self._stream = self._model.stream(self._load)
             return
@@ -79,12 +82,13 @@ class Predictor:
         self._program.mount(self._load)
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Effort (n,) of one sample, each input (n,).
+        """Return the effort (n,) of one sample; each input has shape (n,).
 
-        Of a compiled predictor the same array comes back every time: copy what is to stay.
+        A compiled predictor returns the same array object every time: copy the values that are
+        needed later.
 
         Raises:
-            DataError: An input is not one finite number per joint, or beyond 1e6.
+            DataError: An input is not one finite number per joint, or exceeds 1e6.
         """
         if self._program is None:
             sample = as_sample(self._model.robot_.n, q, qd, qdd)
@@ -93,15 +97,17 @@ class Predictor:
         return self._program.step(q, qd, qdd)
 
     def explain(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
-        """The same step, in parts: gravity, inertia, load, friction, ripple, drive, residual.
+        """Return the parts of the effort of one step, by name.
+
+        The parts are gravity, inertia, load, friction, ripple, drive and residual.
 
         Raises:
-            DataError: As `step`.
-            FitError: The predictor is not compiled.
+            DataError: See `step`.
+            FitError: The predictor does not use machine code.
         """
         if self._program is None:
             raise FitError(
-                "parts of single samples need a compiled predictor",
+                "prediction of parts needs a compiled predictor",
                 hint="install a C compiler, or use predict on a whole dataset",
             )
         self._program.step(q, qd, qdd, explain=True)
@@ -138,29 +144,31 @@ Pointer = ctypes.c_void_p
 Plain, DOUBLE = np.ndarray, np.dtype(np.float64)
 
 SAMPLES = 60
-"""Compared with the model's own stream, without and with a load, before anything is said."""
+"""Number of samples for which machine code and stream of a model are compared, without and with
+a payload."""
 
-REFUSED = "a sample holds what is not finite, or beyond 1e6"
-HINT = "nothing of it is remembered; look at where the motion comes from"
+REFUSED = "a sample contains a value that is not finite or exceeds 1e6"
+HINT = "the sample was ignored; check the source of the motion"
 
 
 class CompiledProgram:
-    """One stream of a model, as machine code.
+    """Machine code of the stream of one model.
 
-    Nothing is allocated by `step`: inputs are copied into, and efforts read from, arrays that are
-    there from the start.
+    The method `step` allocates no memory: inputs are copied into permanent arrays, and efforts are
+    read from permanent arrays.
 
     Args:
-        model: Fitted.
+        model: Fitted model.
 
     Attributes:
-        effort: (n,) of the newest sample; overwritten by the next.
-        parts: By name, (n,) parts of it after a step with `explain`; they add up to it.
+        effort: (n,) effort of the newest sample; the next sample overwrites the array.
+        parts: (n,) parts of the effort by name after a call of `step` with `explain`; the sum of
+            the parts is the effort.
 
     Raises:
-        NotExported: The model is of a kind that is not exported.
-        FitError: It does not compile, or does not say what the model says.
-        PluginError: There is no C compiler, or none for this machine.
+        NotExported: The kind of model cannot be exported.
+        FitError: The program does not compile or its efforts differ from the model.
+        PluginError: No C compiler is installed, or the compiler does not support this computer.
     """
 
     def __init__(self, model: RobotEstimator) -> None:
@@ -182,24 +190,24 @@ class CompiledProgram:
         self.reset()
 
     def reset(self) -> None:
-        """Begin afresh with the next sample, without a load."""
+        """Reset the state of the model before the next sample and remove the payload."""
         self._library.hil_reset(self._where)
 
     def mount(self, payload: Payload) -> None:
-        """Carry a load from the next sample on.
+        """Set the payload that is valid from the next sample on.
 
         Raises:
-            DataError: It is none.
+            DataError: The payload is not valid.
         """
         com, inertia = np.array(payload.com), np.array(payload.inertia)
         places = Pointer(com.ctypes.data), Pointer(inertia.ctypes.data)
         if self._library.hil_set_load(self._where, ctypes.c_double(payload.mass), *places):
-            raise DataError(f"{payload} is no load", hint="give finite numbers, and a mass ≥ 0")
+            raise DataError(f"{payload} is not a payload", hint="use finite numbers and a mass ≥ 0")
 
     def step(
         self, q: FloatArray, qd: FloatArray, qdd: FloatArray, *, explain: bool = False
     ) -> FloatArray:
-        """`effort` (n,) of one sample, each input (n,).
+        """Return the array `effort` (n,) for one sample; each input has shape (n,).
 
         Raises:
             DataError: An input is not one finite number per joint.
@@ -215,7 +223,11 @@ class CompiledProgram:
         return self.effort
 
     def _require_agreement(self, model: RobotEstimator, program: Program) -> None:
-        """Optimised for this machine: what the portable program says proves nothing of it."""
+        """Raise if the efforts of the machine code differ from the model.
+
+        The machine code is optimized for this computer, so that tests of the portable C program are
+        not sufficient.
+        """
         golden = golden_of(model, SAMPLES)
         limits = closeness(program, golden)
         for k, (load, wanted) in enumerate(((Payload(), golden.bare), (LOAD, golden.loaded))):
@@ -232,13 +244,13 @@ class CompiledProgram:
                         "the compiled program does not agree with the model: off by up to "
                         f"{np.max((off + learned) / limits.largest):.1e} of a joint's largest "
                         "effort",
-                        hint="take Predictor(…, compiled=False), and report this with the "
+                        hint="use Predictor(…, compiled=False), and report this with the "
                         "model's folder and the compiler's version",
                     )
 
 
 def _loaded(program: Program) -> ctypes.CDLL:
-    """The library; its file may go once it is mapped."""
+    """Return the compiled library; its file can be deleted after loading."""
     source = c_source(program)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -249,8 +261,8 @@ def _loaded(program: Program) -> ctypes.CDLL:
             library = ctypes.CDLL(str(made))
         except OSError as error:
             raise PluginError(
-                f"what {shlex.join(require_compiler())} made cannot be loaded: {error}",
-                hint="name a C compiler for this machine with CC=…, or take compiled=False",
+                f"cannot load the program compiled by {shlex.join(require_compiler())}: {error}",
+                hint="set a C compiler for this machine with CC=…, or use compiled=False",
             ) from error
     library.hil_state_size.restype = ctypes.c_size_t
     library.hil_reset.argtypes = [Pointer]
@@ -261,35 +273,35 @@ def _loaded(program: Program) -> ctypes.CDLL:
 
 
 MOST = 1e6
-"""Beyond it no position, velocity or acceleration is taken."""
+"""Maximum accepted magnitude of a position, velocity or acceleration."""
 
 
 def as_sample(n: int, *rows: FloatArray) -> FloatArray:
-    """(k, n) of k rows that are one number for each of n joints.
+    """Return an array (k, n) of k rows with one number per joint.
 
     Raises:
-        DataError: One of them is not.
+        DataError: A row does not have one number for each of the n joints.
     """
     taken = np.empty((len(rows), n))
     for place, row in enumerate(rows):
         try:
             given = np.asarray(row)
-        except ValueError:  # of rows that differ in length
+        except ValueError:  # rows of different lengths
             given = np.empty(0)
         if given.shape != (n,) or given.dtype.kind not in "iuf":
             raise DataError(
                 f"a sample is one number for each of {n} joints, not {str(row)[:60]}",
-                hint="give q, qd and qdd of every joint of the model's robot",
+                hint="pass q, qd and qdd of every joint of the robot",
             )
         taken[place] = given
     return taken
 
 
 def require_within(sample: FloatArray) -> None:
-    """Refuse what is not finite, or beyond `MOST`.
+    """Raise if a value is not finite or exceeds `MOST`.
 
     Raises:
-        DataError: It is.
+        DataError: A value is not finite or exceeds `MOST`.
     """
     if not np.all(np.abs(sample) <= MOST):
         raise DataError(REFUSED, hint=HINT)

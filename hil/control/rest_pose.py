@@ -1,24 +1,26 @@
-"""The pose in which an arm loads its brakes least (future work of the static paper, section V).
+"""Poses of an arm with the minimum load on its brakes (future work of the static paper, section V).
 
-What counts is the root mean square of the joints' torques, each as a share of its limit. On most
-arms a whole family of poses loads no brake at all; among equals the one comes first that does
-least when the brakes fail, then the one with most room.
+The criterion of the search is the root mean square of the joint torques, each as a share of its
+torque limit. Most arms have a whole family of poses in which no brake is loaded. Poses with equal
+load are ranked by the behavior of the arm after a failure of the brakes, and then by clearance.
 
-**The search.** The torques of gravity are functions of the pose with many valleys, so many searches
-are started from well-spread clear poses: sequential quadratic programming (SLSQP, Kraft 1988) on
-the sum of squared shares of the torque limits, with the limits of the joints and every distance as
-constraints.
+**Search.** Gravity torques are functions of the pose with many local minima, so that many local
+searches are started from well-distributed collision-free poses. Each local search is sequential
+quadratic programming (SLSQP, Kraft 1988) on the sum of squared shares of the torque limits, with
+the joint limits and all distances as constraints.
 
-**When the brakes let go** the arm stays, is held by friction, tips over or falls. An arm at rest is
-a ball on a landscape, its potential energy. Where the gravity torques vanish the landscape is
-level, and its curvature (the Hessian, here `RestingArm.stiffness`) says whether that is a valley, a
-summit or a saddle: an arm that stands upright loads no brake, and falls at the first touch.
-Directions without curvature (a base joint that turns about the vertical) go anywhere and nowhere.
-Dry friction of the joints makes every slope that is gentle enough a place to stay. Only half of it
-is counted: models overestimate it (`hil.control.hand_guiding`), and warmth takes some.
+**Failure of the brakes.** After a failure of the brakes, the arm stays, is held by friction, tips
+over or falls. The potential energy of the arm determines its behavior after the failure. In poses
+without gravity torques, the curvature of the potential energy (the Hessian, here
+`RestingArm.stiffness`) distinguishes minima, maxima and saddle points: an upright arm loads no
+brake and falls after the slightest touch. Directions in which the potential energy has no curvature
+(a base joint that rotates about the vertical) are indifferent. Dry friction of the joints holds the
+arm if the gravity torques are small enough. Only half of the dry friction of the model is counted,
+because models overestimate the dry friction (`hil.control.hand_guiding`) and warm joints have less
+friction.
 
-`rest_poses` finds model, station and surroundings; the search knows none of them, but a
-`RestingArm`.
+The function `rest_poses` determines model, station and surroundings; the search itself depends only
+on a `RestingArm`.
 """
 
 from __future__ import annotations
@@ -49,24 +51,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestReport:
-    """Rest poses, and what they are better than.
+    """Result of a search: rest poses, and other poses for comparison.
 
     Attributes:
-        model: Folder of the model.
-        robot: Its robot.
-        joint_names: Length n.
-        around: What the clearance was checked against, in words.
-        clearance_m: Distance that was kept.
-        payload: What is mounted.
+        model: Path of the model folder.
+        robot: Name of the robot of the model.
+        joint_names: Names of the n joints.
+        around: Description of the surroundings for which the clearance was computed.
+        clearance_m: Required clearance [m].
+        payload: Mounted payload.
         limit: (n,) torque limits [N·m].
-        friction: (n,) what the joints hold by friction [N·m] (`holding_friction`), None where the
-            model does not know it.
-        deviation: (n,) of what the model was fitted to from it [N·m], one standard deviation;
-            stick friction is part of it.
-        poses: The poses found, the best first.
-        compared: `home`, where programs of this arm begin, and the pose given.
-        seconds: The search took.
-        notes: What else one should know.
+        friction: (n,) holding torque of the dry friction [N·m] (`holding_friction`); None if the
+            model does not contain dry friction.
+        deviation: (n,) standard deviation of the training data from the model [N·m], including
+            stick friction.
+        poses: Rest poses in the order from best to worst.
+        compared: Poses for comparison: `home`, which is the start pose of programs of this arm, and
+            the pose passed by the user.
+        seconds: Duration of the search [s].
+        notes: Further notes.
     """
 
     model: str
@@ -84,7 +87,7 @@ class RestReport:
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil rest-pose --json`."""
+        """Return the document that `hil rest-pose --json` prints."""
         return {
             "model": self.model,
             "robot": self.robot,
@@ -103,14 +106,14 @@ class RestReport:
 
 
 LIMIT_MARGIN_DEG = 2.0
-"""Kept from the limits of the joints."""
+"""Margin by which poses stay within the joint limits [°]."""
 
 NO_FRICTION = (
-    "the model has no dry friction, so it is not known what the joints hold by themselves; "
-    "estimators with a friction part (rigid-hysteresis, rigid-wls, static-coulomb) have one"
+    "the model contains no dry friction, so the torque that joints hold without drives is unknown; "
+    "use an estimator with a friction part (rigid-hysteresis, rigid-wls, static-coulomb)"
 )
 
-UNCHECKED = "clearance was not checked: see for yourself that the arm can be there"
+UNCHECKED = "clearance was not checked: make sure that the pose is free of collisions"
 
 
 def rest_poses(
@@ -125,25 +128,27 @@ def rest_poses(
     seed: int = 0,
     unchecked: bool = False,
 ) -> RestReport:
-    """The poses in which a model's arm loads its brakes least.
+    """Return the poses in which the arm of a model has the minimum load on its brakes.
 
     Args:
-        model: Its folder.
-        station: Says what stands around the arm; by default the one experiments here would use,
-            or a table at its base.
-        robot: Name in the station; by default its only robot that is the model's.
-        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload` that is mounted.
-        clearance_mm: Distance that is kept; by default the station's.
-        near_deg: Where the arm stands now, or would rather be [°].
-        count: How many poses.
-        seed: Of the search.
-        unchecked: Leave clearance out, the only way for an arm without collision bodies.
+        model: Path of the model folder.
+        station: Path of the station file that describes the surroundings; by default the default
+            station of experiments in the working directory, or a table at the base of the arm.
+        robot: Name of the robot in the station; by default the only robot that matches the model.
+        payload: Payload that is mounted: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a
+            `Payload`.
+        clearance_mm: Minimum clearance of the poses [mm]; by default the clearance of the station.
+        near_deg: Present or preferred joint angles of the arm [°].
+        count: Number of poses to return.
+        seed: Seed of the start poses of the search.
+        unchecked: Whether to skip the check of the clearance; required for an arm without collision
+            bodies.
 
     Raises:
         DataError: The model cannot be read.
-        FitError: The model has no gravity, or cannot tell torques.
-        SpecError: The robot is another arm, or an argument cannot be.
-        PlanError: No pose is within limits and clear.
+        FitError: The model has no gravity part, or cannot predict torques.
+        SpecError: The robot in the station is a different arm, or an argument is invalid.
+        PlanError: No pose satisfies the joint limits and the clearance.
     """
     folder, at = path_of(model), path_of(station) if station else None
     load = payload_of(payload) or Payload()
@@ -155,8 +160,8 @@ def rest_poses(
     clearance = place.surroundings.clearance_m if clearance_mm is None else 1e-3 * clearance_mm
     if not 0 <= clearance < np.inf:
         raise SpecError(
-            f"a clearance of {1e3 * clearance:g} mm cannot be kept",
-            hint="--clearance-mm takes 0 or more, and less than the arm is long",
+            f"invalid clearance: {1e3 * clearance:g} mm",
+            hint="set --clearance-mm to at least 0, and to less than the length of the arm",
         )
     arm = None if unchecked else _described_arm(stored, load)
     bodies = collision_model(arm, place.surroundings, [(load, None)]) if arm else None
@@ -193,22 +198,22 @@ def _pose(degrees: Sequence[float], model: RobotEstimator) -> FloatArray:
 
 
 def _described_arm(model: RobotEstimator, load: Payload) -> ArmDescription:
-    """The arm with its collision bodies.
+    """Return the description of the static arm with its collision bodies.
 
     Raises:
-        SpecError: It has none, or cannot carry the load.
+        SpecError: The arm has no collision bodies, or the payload exceeds its rated payload.
     """
     arm = model.robot_.arm
     if arm is None or not arm.capsules:
         raise SpecError(
-            f"{model.robot_.name} has no collision bodies: nobody can tell which poses are clear",
-            hint="with --unchecked only limits and torques count; look for yourself then",
+            f"{model.robot_.name} has no collision bodies, so clearance cannot be checked",
+            hint="use --no-collision-check to check limits and torques only",
         )
     if load.mass > arm.payload_max_kg:
         raise SpecError(
             f"a load of {load.mass:g} kg is beyond the {arm.payload_max_kg:g} kg the {arm.name} "
             "is rated for",
-            hint="give the load that is mounted: --payload M",
+            hint="set the mounted payload: --payload M",
         )
     return arm
 
@@ -230,7 +235,7 @@ def _resting(
 
 
 def _home(arm: RestingArm, bodies: CollisionModel) -> list[RestPose]:
-    """Where programs of this arm begin by default; [] where they cannot."""
+    """Return the default start pose of programs of this arm; an empty list without one."""
     description = bodies.arm
     workspace = Workspace(
         joint_names=arm.joint_names,
@@ -240,7 +245,7 @@ def _home(arm: RestingArm, bodies: CollisionModel) -> list[RestPose]:
         high=description.excite_max,
         collision=bodies,
         clearance_m=arm.clearance_m,
-        # A roadmap's home does not depend on how fast the arm gets there.
+        # The home pose of a roadmap does not depend on the speed of the arm.
         velocity=1.0,
         acceleration=1.0,
         jerk=1.0,
@@ -256,8 +261,8 @@ def _home(arm: RestingArm, bodies: CollisionModel) -> list[RestPose]:
 def _notes(model: RobotEstimator, arm: RestingArm, unchecked: bool) -> list[str]:
     deviation = ", ".join(f"{sigma:.1f}" for sigma in model.sigma_ * model.torque_scale_)
     told = [
-        f"what was measured deviates from the model by {deviation} N·m, stick friction included: "
-        "torques far below that are as good as none"
+        f"the measurements deviate from the model by {deviation} N·m, including stick friction: "
+        "much smaller torques are equal to zero within this accuracy"
     ]
     told += [NO_FRICTION] if arm.friction is None else []
     return [*told, UNCHECKED] if unchecked else told
@@ -265,18 +270,18 @@ def _notes(model: RobotEstimator, arm: RestingArm, unchecked: bool) -> list[str]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestPose:
-    """A pose, and what it asks of the brakes.
+    """Pose of the arm with its load on the brakes.
 
     Attributes:
-        label: Why it is shown.
-        q: (n,) [rad].
-        torque: (n,) [N·m] that hold the arm.
-        share: (n,) of the torque limits, with sign.
-        effort: Root mean square of the shares.
-        clearance: Smallest distance to anything [m]; infinite where none was checked.
-        bodies: Between which two bodies that is.
-        clear: Whether limits and clearance are kept.
-        fail: What happens when the brakes fail.
+        label: Reason why the pose is in the list.
+        q: (n,) joint positions [rad].
+        torque: (n,) holding torques [N·m].
+        share: (n,) torque of each joint as a share of its limit, with sign.
+        effort: Root mean square of the torque shares.
+        clearance: Minimum distance between two bodies [m]; infinite if distances are not checked.
+        bodies: Names of the two bodies with the minimum distance.
+        clear: Whether the pose satisfies joint limits and clearance.
+        fail: Behavior of the arm after a failure of the brakes.
     """
 
     label: str
@@ -290,7 +295,7 @@ class RestPose:
     fail: BrakesFail
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON; angles in degrees, distances in mm."""
+        """Return the pose as JSON data; angles in degrees, distances in mm."""
         return {
             "label": self.label,
             "q_deg": np.degrees(self.q).tolist(),
@@ -306,7 +311,7 @@ class RestPose:
 
 
 def described(arm: RestingArm, q: FloatArray, label: str) -> RestPose:
-    """What the pose `q` (n,) asks of the brakes."""
+    """Return the pose `q` (n,) with its load on the brakes."""
     torque = arm.gravity(q[None])[0]
     distance, bodies = arm.closest(q)
     return RestPose(
@@ -323,21 +328,23 @@ def described(arm: RestingArm, q: FloatArray, label: str) -> RestPose:
 
 
 APART_RAD = 0.5
-"""Poses count as different when some joint differs by as much."""
+"""Minimum difference of a joint angle between poses that count as different [rad]."""
 
 EQUAL_SHARE = 5e-4
-"""Efforts that differ by less are equal: no model knows torques better."""
+"""Difference of effort (RMS torque share) below which two efforts count as equal; no model is
+more accurate."""
 
 NEAR_SHARE = 0.01
-"""How much more effort than the least a pose near to a given one may cost."""
+"""Maximum additional effort of the pose nearest to a preferred pose, relative to the minimum
+effort."""
 
 LEAST = "least torque"
 
 STAYING = "least torque that stays or is held without brakes"
 
-NEAREST = "nearest to the pose given"
+NEAREST = "nearest to the requested pose"
 
-ANOTHER = "another valley"
+ANOTHER = "different local minimum"
 
 ORDER = ("stays", "held", "tips", "falls")
 
@@ -345,20 +352,22 @@ ORDER = ("stays", "held", "tips", "falls")
 def least_loaded(
     arm: RestingArm, *, near: FloatArray | None = None, count: int = 3, seed: int = 0
 ) -> tuple[RestPose, ...]:
-    """Poses that load the brakes least, the best first; the same arguments give the same poses.
+    """Return the poses with the minimum load on the brakes, best first; deterministic.
 
-    First comes the least effort of all; then, unless it is the same pose, the least effort among
-    poses that do not fall when the brakes fail, if there is one; then the pose nearest to `near`
-    that costs hardly more than the least. What is left of `count` are other valleys.
+    The first returned pose has the minimum effort. The second returned pose is the best pose in
+    which the arm stays or is held after a brake failure; this pose is omitted if it equals the
+    first pose or does not exist. If `near` is passed, the next pose is the pose nearest to `near`
+    with nearly the minimum effort. The remaining returned poses, up to `count`, are other local
+    minima.
 
     Args:
-        arm: The arm.
-        near: (n,) where it would rather be [rad].
-        count: How many poses at most; one that is asked for by `near` is always among them.
-        seed: Of the poses the search starts from.
+        arm: Resting arm.
+        near: (n,) preferred pose [rad].
+        count: Maximum number of poses; the pose for `near` is always included.
+        seed: Seed of the start poses of the search.
 
     Raises:
-        PlanError: No clear pose was found.
+        PlanError: The search found no collision-free pose.
     """
     starts = starts_of(arm, seed)
     free = free_joints(arm, starts)
@@ -379,29 +388,29 @@ def least_loaded(
 
 
 DRAWN = 4096
-"""Well-spread poses that are looked at; a power of two."""
+"""Number of well-distributed candidate poses of the search; a power of two."""
 
 STARTS = 24
-"""Local searches, a multiple of three."""
+"""Number of local searches of a run; a multiple of three."""
 
 LIGHT = 256
-"""Of the poses looked at, so many of the least effort are asked whether they lie in a valley."""
+"""Number of candidate poses of minimum effort whose curvature is evaluated."""
 
 SPARE_M = 1e-5
-"""Kept beyond the clearance, so that rounding does not fall below it."""
+"""Margin that is added to the clearance against rounding errors [m]."""
 
 FTOL = 1e-8
-"""A search ends when percent squared, or squared radians, change by less."""
+"""Change of the cost (squared percent or squared radians) below which a local search ends."""
 
 Cost = Callable[[FloatArray], tuple[float, FloatArray]]
-"""Value and gradient (n,) at q (n,)."""
+"""Cost function of a local search: value and gradient (n,) at q (n,)."""
 
 
 def starts_of(arm: RestingArm, seed: int) -> FloatArray:
-    """(≤ STARTS, n) well-spread clear poses of little effort.
+    """Return at most STARTS well-distributed collision-free poses of low effort, (≤ STARTS, n).
 
     Raises:
-        PlanError: None of the poses that were looked at is clear.
+        PlanError: No candidate pose is collision-free.
     """
     from scipy.stats import qmc
 
@@ -412,46 +421,52 @@ def starts_of(arm: RestingArm, seed: int) -> FloatArray:
     if len(clear) == 0:
         raise none_clear(arm, drawn)
     clear = clear[np.argsort(arm.effort(clear), kind="stable")]
-    # A third are the best, a third lie in the roundest valleys of the potential energy, where the
-    # arm hangs; the others keep the search from seeing one valley only.
+    # One third are the poses of least effort. One third have the largest curvature of the potential
+    # energy, where the arm hangs. The others are distributed, so that the search covers several
+    # local minima.
     third = STARTS // 3
     spread = clear[third :: max(1, len(clear) // third)][:third]
     return np.concatenate([clear[:third], _in_valleys(arm, clear[:LIGHT], third), spread])
 
 
 def _in_valleys(arm: RestingArm, poses: FloatArray, count: int) -> FloatArray:
-    """(≤ count, n) of the `poses` (N, n) those whose least curvature is largest."""
+    """Return (≤ count, n) those `poses` (N, n) whose minimum curvature is largest."""
     least = np.array([curvatures(arm, q)[0][0] for q in poses])
     return poses[np.argsort(-least, kind="stable")[:count]]
 
 
 def drawn_range(arm: RestingArm) -> tuple[FloatArray, FloatArray]:
-    """Range (n,), (n,) that holds every pose once: one turn about 0 where the limits allow more."""
+    """Return the joint range (n,), (n,) that contains every pose at least one time.
+
+    The range of a joint is at most one turn about 0.
+    """
     centre = np.clip(0.0, arm.low + np.pi, np.maximum(arm.high - np.pi, arm.low + np.pi))
     centre = np.where(np.isfinite(centre), centre, 0.0)
     return np.maximum(arm.low, centre - np.pi), np.minimum(arm.high, centre + np.pi)
 
 
 def none_clear(arm: RestingArm, looked_at: FloatArray) -> PlanError:
-    """The error that says how far from clear the poses `looked_at` (N, n) are."""
+    """Return the error that reports the largest clearance of the tested poses (N, n)."""
     distances = [arm.closest(q) for q in looked_at[:256]]
     roomiest, (a, b) = max(distances)
     return PlanError(
-        f"none of the poses looked at keeps {1e3 * arm.clearance_m:.0f} mm clear; the roomiest has "
-        f"{1e3 * roomiest:.0f} mm between {a} and {b}",
-        hint="ask for less with --clearance-mm, or see whether the station's surroundings are as "
-        "described",
+        f"no tested pose has a clearance of {1e3 * arm.clearance_m:.0f} mm; the largest is "
+        f"{1e3 * roomiest:.0f} mm, between {a} and {b}",
+        hint="reduce --clearance-mm, or check the surroundings in the station file",
     )
 
 
 def free_joints(arm: RestingArm, q: FloatArray) -> BoolArray:
-    """(n,) joints that no torque depends on, judged at `q` (N, n): turning them changes nothing."""
+    """Return an (n,) mask of joints that affect no torque, evaluated at `q` (N, n)."""
     slopes = np.array([arm.stiffness(pose) / arm.limit[:, None] for pose in q])
     return np.asarray(np.abs(slopes).max(axis=(0, 1)) < INDIFFERENT)
 
 
 def turned(arm: RestingArm, q: FloatArray, free: BoolArray, wanted: FloatArray) -> FloatArray:
-    """The pose `q` (n,) with its free joints at `wanted` (n,), wherever that is clear."""
+    """Return the pose `q` (n,) with its free joints at `wanted` (n,), if collision-free.
+
+    A free joint keeps its angle if the changed pose is not collision-free.
+    """
     for joint in np.flatnonzero(free):
         other = q.copy()
         other[joint] = np.clip(wanted[joint], arm.low[joint], arm.high[joint])
@@ -460,14 +475,14 @@ def turned(arm: RestingArm, q: FloatArray, free: BoolArray, wanted: FloatArray) 
 
 
 def least_effort(arm: RestingArm, start: FloatArray) -> FloatArray:
-    """The pose (n,) of least effort that is reached from `start` (n,)."""
+    """Return the pose (n,) of minimum effort that a local search from `start` (n,) reaches."""
     return _search(arm, start, lambda q: _effort_cost(arm, q))
 
 
 def nearest_within(
     arm: RestingArm, near: FloatArray, effort: float, starts: Iterable[FloatArray]
 ) -> list[FloatArray]:
-    """The poses (n,) nearest to `near` with at most that effort that are reached from `starts`."""
+    """Return the poses (n,) nearest to `near` with limited effort, one pose per start pose."""
     bound = {
         "type": "ineq",
         "fun": lambda q: arm.n * (100 * effort) ** 2 - _effort_cost(arm, q)[0],
@@ -481,7 +496,7 @@ def nearest_within(
 
 
 def _effort_cost(arm: RestingArm, q: FloatArray) -> tuple[float, FloatArray]:
-    """Sum of squared shares in percent, and its gradient."""
+    """Return the sum of the squared torque shares [squared percent], and its gradient."""
     torque, stiffness = arm.torque_and_stiffness(q)
     percent = 100.0 * torque / arm.limit
     slopes = 100.0 * stiffness / arm.limit[:, None]
@@ -489,7 +504,7 @@ def _effort_cost(arm: RestingArm, q: FloatArray) -> tuple[float, FloatArray]:
 
 
 def _search(arm: RestingArm, start: FloatArray, cost: Cost, *constraints: Any) -> FloatArray:
-    """The local optimum (n,) that SLSQP finds from `start` (n,)."""
+    """Return the local optimum (n,) that SLSQP finds from `start` (n,)."""
     from scipy.optimize import minimize
 
     if arm.around is not None:
@@ -522,13 +537,16 @@ def _rank(pose: RestPose) -> tuple[float, ...]:
 
 
 def _first_staying(found: Sequence[RestPose]) -> RestPose | None:
-    """The best pose of the safest outcome there is, unless all of them would come down."""
+    """Return the best pose with the safest outcome after a brake failure.
+
+    The function returns None if the arm tips or falls in all poses.
+    """
     safest = min(found, key=lambda pose: (ORDER.index(pose.fail.outcome), _rank(pose)))
     return safest if safest.fail.outcome in ("stays", "held") else None
 
 
 def _add(chosen: list[RestPose], pose: RestPose, label: str, free: BoolArray) -> None:
-    """Add a pose, or the label alone where the pose is among those chosen already."""
+    """Add a pose to the list, or only its label if the pose is already in the list."""
     for i, other in enumerate(chosen):
         if not _apart(pose.q, other.q, free):
             chosen[i] = replace(other, label=f"{other.label}, {label}")
@@ -537,7 +555,10 @@ def _add(chosen: list[RestPose], pose: RestPose, label: str, free: BoolArray) ->
 
 
 def _nearest(arm: RestingArm, near: FloatArray, found: Sequence[RestPose]) -> RestPose:
-    """The pose nearest to `near` that costs at most `NEAR_SHARE` more than the least."""
+    """Return the pose of low effort nearest to `near`.
+
+    The effort exceeds the minimum effort by at most `NEAR_SHARE`.
+    """
     most = found[0].effort + NEAR_SHARE
     by_way = sorted(found, key=lambda pose: _far(pose.q, near))[:3]
     reached = nearest_within(arm, near, most, [near, *(pose.q for pose in by_way)])
@@ -551,7 +572,7 @@ def _far(a: FloatArray, b: FloatArray) -> float:
 
 
 def _apart(a: FloatArray, b: FloatArray, free: BoolArray) -> bool:
-    """Whether two poses differ; whole turns and free joints do not count."""
+    """Return whether two poses differ, apart from full turns and free joints."""
     turn = np.remainder(a - b + np.pi, 2 * np.pi) - np.pi
     return bool(np.max(np.abs(turn[~free]), initial=0.0) > APART_RAD)
 
@@ -559,26 +580,30 @@ def _apart(a: FloatArray, b: FloatArray, free: BoolArray) -> bool:
 Outcome = Literal["stays", "held", "tips", "falls"]
 
 BALANCED_SHARE = 0.005
-"""Below this share of its limit a joint's torque counts as none."""
+"""Share of the torque limit below which a joint torque counts as zero."""
 
 COUNTED = 0.5
-"""Share of the model's dry friction that is relied upon."""
+"""Share of the dry friction of the model that is counted as holding torque."""
 
 INDIFFERENT = 1e-3
-"""Share of the limits that a radian changes, at most, along a direction that is level."""
+"""Maximum change of torque per radian, as a share of the limits, along a direction that counts
+as indifferent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BrakesFail:
-    """What happens without brakes and without drives.
+    """Behavior of an arm after its brakes and drives have failed.
 
     Attributes:
-        outcome: `stays` (no torque, no way down), `held` (by dry friction alone), `tips` (no
-            torque, but a way down, and no friction known to hold it there) or `falls`.
+        outcome: Behavior of the arm: `stays` (no torque, no unstable direction), `held` (only by
+            dry friction), `tips` (no torque, but an unstable direction, and no friction known to
+            hold the arm) or `falls`.
         balanced: Whether every torque is below `BALANCED_SHARE` of its limit.
-        stable, unstable, indifferent: Number of independent directions that lead up, down, level.
-        way_down: (n,) the steepest unstable direction, largest entry 1; zeros without one.
-        spare: (n,) dry friction that is counted less torque [N·m]; NaN where none is known.
+        stable, unstable, indifferent: Numbers of independent stable, unstable and indifferent
+            directions.
+        way_down: (n,) steepest unstable direction, with largest entry 1; zeros if no direction is
+            unstable.
+        spare: (n,) counted dry friction minus torque [N·m]; NaN if the dry friction is unknown.
     """
 
     outcome: Outcome
@@ -590,7 +615,7 @@ class BrakesFail:
     spare: FloatArray
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON."""
+        """Return the behavior as JSON data."""
         return {
             "outcome": self.outcome,
             "balanced": self.balanced,
@@ -605,7 +630,7 @@ class BrakesFail:
 
 
 def brakes_fail(arm: RestingArm, q: FloatArray) -> BrakesFail:
-    """What the arm does at `q` (n,) when all brakes fail at once."""
+    """Return the behavior of the arm at `q` (n,) after all brakes fail simultaneously."""
     torque = arm.gravity(q[None])[0]
     balanced = bool(np.all(np.abs(torque) <= BALANCED_SHARE * arm.limit))
     known = np.full(arm.n, np.nan) if arm.friction is None else arm.friction
@@ -637,12 +662,15 @@ def _largest_one(direction: FloatArray) -> FloatArray:
 
 
 def curvatures(arm: RestingArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) curvatures of the potential energy at `q` (n,), ascending, and (n, n) directions.
+    """Return curvatures (n,) of the potential energy at `q` (n,), and directions (n, n).
 
-    Joints are measured by their limits, so that a curvature is the share of its limit a torque
-    changes by per radian. Signs, and so the count of each, do not depend on that (Sylvester's law
-    of inertia). Torques of independent regressions (eq. 15 of the static paper) need not have a
-    potential energy; the symmetric part stands for it.
+    The curvatures are in ascending order.
+
+    The joint angles are scaled by the torque limits, so that a curvature is the change of torque
+    per radian as a share of the limit. The signs of the curvatures, and therefore the number of
+    stable and unstable directions, do not depend on the scaling (Sylvester's law of inertia). The
+    torques of independent regressions (eq. 15 of the static paper) possibly have no potential
+    energy; in this case, the symmetric part of the torque derivative is used.
     """
     weight = 1.0 / np.sqrt(arm.limit)
     K = arm.stiffness(q)
@@ -651,10 +679,11 @@ def curvatures(arm: RestingArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 STIFFNESS_STEP_RAD = 1e-4
-"""Of the central differences of the torque."""
+"""Step with which the torque is differentiated by central differences [rad]."""
 
 DISTANCE_STEP_RAD = 1e-6
-"""Of the forward differences of distances, which have kinks."""
+"""Step with which distances are differentiated by forward differences [rad]; distances are not
+differentiable everywhere."""
 
 TOLERANCE_RAD = 1e-9
 
@@ -662,27 +691,30 @@ TOLERANCE_M = 1e-7
 
 
 class Distances(Protocol):
-    """What is needed of a collision model (`hil.dynamics.CollisionModel`)."""
+    """Part of a collision model (`hil.dynamics.CollisionModel`) that the search requires."""
 
     def distances(self, q: FloatArray) -> FloatArray:
-        """(R, N) distances [m] at `q` (N, n); negative where bodies overlap."""
+        """Return the distances [m] (R, N) at `q` (N, n); negative if bodies overlap."""
 
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
-        """The smallest distance [m] at `q` (n,) and between which two bodies."""
+        """Return the minimum distance [m] at `q` (n,), and the names of its two bodies."""
 
 
 @dataclass(frozen=True, eq=False)
 class RestingArm:
-    """An arm that is to stand still with its brakes on.
+    """Static arm whose brakes are applied.
 
     Attributes:
-        joint_names: Length n.
-        gravity: (N, n) torques [N·m] that hold the arm and its load at positions (N, n).
-        limit: (n,) torque limits [N·m], the measure of every torque.
-        low, high: (n,) range of the joints [rad], margin taken off; infinite for endless joints.
-        friction: (n,) dry friction [N·m], None where nobody knows.
-        around: Distances to itself and its surroundings; None leaves them unchecked.
-        clearance_m: Distance that is kept.
+        joint_names: Names of the n joints.
+        gravity: Function that returns the holding torques (N, n) [N·m] of arm and payload at joint
+            positions (N, n).
+        limit: (n,) torque limits [N·m], with which all torques are scaled.
+        low, high: (n,) limits of the joint range without the margin [rad]; infinite for continuous
+            joints.
+        friction: (n,) dry friction [N·m]; None if unknown.
+        around: Function for the distances of the arm to itself and its surroundings; None if
+            distances are not checked.
+        clearance_m: Required clearance [m].
 
     Raises:
         PlanError: The range of a joint is empty, or a torque limit is missing.
@@ -699,7 +731,7 @@ class RestingArm:
 
     def __post_init__(self) -> None:
         self._refuse(
-            self.low >= self.high, "no position is within the limits of", "lower the margin"
+            self.low >= self.high, "no position is within the limits of", "reduce the margin"
         )
         self._refuse(
             ~(np.isfinite(self.limit) & (self.limit > 0)),
@@ -713,48 +745,49 @@ class RestingArm:
         return len(self.joint_names)
 
     def share(self, q: FloatArray) -> FloatArray:
-        """(N, n) torque as a share of the limit, with its sign, at `q` (N, n)."""
+        """Return the torque shares (N, n) of the limits, with sign, at `q` (N, n)."""
         share: FloatArray = self.gravity(q) / self.limit
         return share
 
     def effort(self, q: FloatArray) -> FloatArray:
-        """(N,) root mean square of the shares: what the search makes small."""
+        """Return the root mean square (N,) of the torque shares, which the search minimizes."""
         return np.asarray(np.sqrt(np.mean(self.share(q) ** 2, axis=1)))
 
     def stiffness(self, q: FloatArray) -> FloatArray:
-        """(n, n) change of the gravity torques per joint angle [N·m/rad] at `q` (n,).
+        """Return the change (n, n) of the gravity torques per joint angle [N·m/rad] at `q` (n,).
 
-        The Hessian of the potential energy, wherever the torques have one.
+        The derivative of the gravity torques is the Hessian of the potential energy, if the torques
+        have a potential energy.
         """
         return self.torque_and_stiffness(q)[1]
 
     def torque_and_stiffness(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) torques [N·m] and (n, n) `stiffness` at `q` (n,), from one call of the model."""
+        """Return torques (n,) [N·m] and `stiffness` (n, n) at `q` (n,) from one model call."""
         step = STIFFNESS_STEP_RAD * np.eye(self.n)
         torque = self.gravity(np.concatenate([q[None], q + step, q - step]))
         change = (torque[1 : self.n + 1] - torque[self.n + 1 :]) / (2 * STIFFNESS_STEP_RAD)
         return torque[0], change.T
 
     def room(self, q: FloatArray) -> FloatArray:
-        """(R,) distances beyond the clearance [m] at `q` (n,); empty where nothing is checked."""
+        """Return distances minus clearance (R,) [m] at `q` (n,); empty if not checked."""
         return self._rooms(q[None])[:, 0]
 
     def room_slopes(self, q: FloatArray) -> FloatArray:
-        """(R, n) derivative of `room` at `q` (n,)."""
+        """Return the derivative (R, n) of `room` at `q` (n,)."""
         moved = np.concatenate([q[None], q + DISTANCE_STEP_RAD * np.eye(self.n)])
         rooms = self._rooms(moved)
         slopes: FloatArray = (rooms[:, 1:] - rooms[:, :1]) / DISTANCE_STEP_RAD
         return slopes
 
     def is_clear(self, q: FloatArray) -> BoolArray:
-        """(N,) whether each of `q` (N, n) is within limits and keeps its distance."""
+        """Return whether each pose of `q` (N, n) satisfies joint limits and clearance, (N,)."""
         low, high = self.low - TOLERANCE_RAD, self.high + TOLERANCE_RAD
         inside = np.all((q >= low) & (q <= high), axis=1)
         least = self._rooms(q).min(axis=0, initial=np.inf)
         return np.asarray(inside & (least >= -TOLERANCE_M))
 
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
-        """Smallest distance [m] at `q` (n,), and between what; infinite where unchecked."""
+        """Return the minimum distance [m] at `q` (n,) and its bodies; infinite if not checked."""
         return (np.inf, ("", "")) if self.around is None else self.around.closest(q)
 
     def _rooms(self, q: FloatArray) -> FloatArray:

@@ -1,15 +1,16 @@
-"""What a model is worth to a controller, tried out on a simulated arm that is driven by torque.
+"""Control trial: benefit of a model for control, measured on a simulated torque-driven arm.
 
-A trial (`run_trial`) has two parts. In the first a trajectory of its own is followed by the same PD
-controller behind every law of `hil.control.controllers`; only the torque given ahead of any error
-differs. In the second a hand, which is a spring and a damper at every joint, firm enough to carry
-the arm when the drives give nothing, leads the arm joint by joint and lets go; what it costs is the
-torque of that spring while its joint is led. Every run begins on an arm that is opened afresh
-(`Bench`). Both motions keep the limits of the arm and its distance from what stands around it, the
-load included.
+A control trial (`run_trial`) has two parts: tracking and hand guiding. In the first part of a
+trial, the same PD controller tracks a separate trajectory with every feed-forward law of
+`hil.control.controllers`; only the feed-forward torque differs. In the second part of a trial, a
+simulated hand guides the arm joint by joint and then releases the arm. The simulated hand is a
+spring and a damper at every joint, stiff enough to carry the arm without drives. The effort of the
+hand at a joint is the torque of its spring while this joint is guided. Every run of a trial starts
+on a newly opened arm (`Bench`). The tracking motion and the guided motion satisfy the limits of the
+arm and the clearance to the surroundings, including the payload.
 
-Nothing here commands a torque to a real robot: one that does not declare itself simulated
-(`hil.robot.TorqueControlled`) is refused before it is opened.
+The trial never commands torque to a real robot: a robot that does not declare itself simulated
+(`hil.robot.TorqueControlled`) is rejected before it is opened.
 """
 
 from __future__ import annotations
@@ -40,14 +41,14 @@ from hil.studies import listed, mean_of
 
 @dataclass(frozen=True, slots=True)
 class TrialPlace:
-    """A model, and the simulated arm on which it is tried.
+    """Model, and the simulated arm on which it is tested.
 
     Attributes:
-        folder: Of the model.
-        model: The model.
-        bench: The arm, and what it carries.
-        where: The arm in words.
-        named: Whether its station was named.
+        folder: Path of the model folder.
+        model: Fitted model.
+        bench: Simulated arm with its payload.
+        where: Description of the simulated arm.
+        named: Whether the user specified the station.
     """
 
     folder: Path
@@ -60,17 +61,20 @@ class TrialPlace:
 def trial_place(
     folder: Path, station: Path | None, robot: str | None, load: Payload | None
 ) -> TrialPlace:
-    """Return the simulated arm of a model; nothing moves.
+    """Return the simulated arm for a model without moving it.
 
     Args:
-        folder: The model.
-        station: Station file; by default the one experiments here would use.
-        robot: Name in the station; by default its only robot of the model's kind.
-        load: What is mounted, and told to the model.
+        folder: Path of the model folder.
+        station: Path of the station file; by default the default station of experiments in the
+            working directory.
+        robot: Name of the robot in the station; by default the only robot in the station that is
+            the arm of the model.
+        load: Payload that is mounted, also passed to the model.
 
     Raises:
-        FitError: Nobody knows the model's torques.
-        SpecError: The robot is no simulated one with torque control, or is another arm.
+        FitError: The model cannot predict torques.
+        SpecError: The robot is not a simulated robot with torque control, or it is a different arm
+            than the model.
         DataError: The model cannot be read.
     """
     model = load_model_file(folder)
@@ -83,33 +87,33 @@ def trial_place(
 
 
 def _named(where: str, robot: StationRobot) -> tuple[str, str]:
-    """The robot's name, which is part of a mock's serial number, and where it is in words."""
+    """Return the robot name, which is part of the serial number of a mock, and its description."""
     name, told, _ = where.partition(" of ")
     alone = robot.model.replace("@", "_")
     return (name, where) if told else (alone, f"a mock {robot.model} (no station was named)")
 
 
 Progress = Callable[[str], object]
-"""Told what is being run."""
+"""Callback that receives the name of the current step."""
 
 HAND_FIRMNESS = 2.0
-"""Times the bandwidth of the trial's controller."""
+"""Ratio of the bandwidth of the hand to the bandwidth of the PD controller."""
 
 
 def run_trial(place: TrialPlace, seed: int, friction_share: float, progress: Progress) -> Trial:
-    """Try a model on its simulated arm.
+    """Run a control trial of a model on its simulated arm.
 
     Args:
-        place: Model and arm.
-        seed: Of the trajectory; counted apart from those of experiments.
-        friction_share: Of the dry friction, compensated while a hand leads; below 1.
-        progress: Is told what is being run.
+        place: Model and simulated arm.
+        seed: Seed of the trajectory, in a range that experiments do not use.
+        friction_share: Compensated share of the dry friction during hand guiding; below 1.
+        progress: Callback that receives the name of the current step.
 
     Raises:
-        FitError: The model has no gravity.
-        SpecError: Nobody named a station, and the mock there is otherwise is not the arm of the
-            model; or an argument cannot be.
-        PlanError: There is no clear motion.
+        FitError: The model has no gravity part.
+        SpecError: No station was specified and the default mock robot is not the arm of the model;
+            or an argument is invalid.
+        PlanError: No collision-free motion was found.
     """
     begin = time.perf_counter()
     model, bench = place.model, place.bench
@@ -132,41 +136,42 @@ def run_trial(place: TrialPlace, seed: int, friction_share: float, progress: Pro
 
 
 def _same_individual(model: RobotEstimator, serial: str, *, named: bool) -> str:
-    """Serial number of the arm the model was fitted on.
+    """Return the serial number of the arm on which the model was fitted.
 
     Raises:
-        SpecError: It is another one than `serial`, which nobody has asked for.
+        SpecError: The serial number differs from `serial`, and no station was specified.
     """
     known = model.training_.serial if model.training_ else ""
     if known and known != serial and not named:
         raise SpecError(
-            f"the model was fitted on {known}, but no station was named, and the mock there is "
-            f"otherwise is another individual ({serial})",
-            hint="--station FILE --robot NAME, with the arm the model was fitted on",
+            f"the model was fitted on {known}, but no station was set, and the default mock is a "
+            f"different individual ({serial})",
+            hint="select the arm of the model with --station FILE --robot NAME",
         )
     return known
 
 
 def _about(model: RobotEstimator, serial: str, fitted_on: str) -> Iterator[str]:
-    """What makes all figures mean something else."""
+    """Yield notes about circumstances that change the meaning of all results."""
     if fitted_on and fitted_on != serial:
         yield (
-            f"ANOTHER INDIVIDUAL: the model was fitted on {fitted_on}, and tried on {serial}, "
-            "which has other masses and friction; the figures are not its worth on its own arm"
+            f"DIFFERENT INDIVIDUAL: the model was fitted on {fitted_on} and simulated on {serial}, "
+            "whose masses and friction differ; the results are not valid for the arm of the model"
         )
     if not any("trajectory" in kinds for kinds in model.series_kinds):
         yield (
-            f"a static model: {model.estimator} was fitted to arms at rest, and all that it gives "
-            "ahead is gravity; it knows neither inertia nor the friction of motion"
+            f"static model: {model.estimator} was fitted to static samples, so its feed-forward "
+            "torque is gravity only, without inertia and friction of motion"
         )
 
 
 SWINGS_DEG = (20.0, -20.0, 10.0, -10.0, 5.0, -5.0)
-"""How far a joint is led: the first of these that is clear."""
+"""Candidate amplitudes of a joint during hand guiding [°]; the first collision-free amplitude is
+used."""
 
 
 def _short_ways(way: Leading, names: tuple[str, ...]) -> Iterator[str]:
-    """Joints that are led by less than the others, and why."""
+    """Yield a note about joints that are guided over a smaller angle than the others."""
     least = np.radians(abs(SWINGS_DEG[0])) * (1 - 1e-6)
     if short := [
         f"{name} {np.degrees(abs(swing)):.3g}°"
@@ -174,19 +179,18 @@ def _short_ways(way: Leading, names: tuple[str, ...]) -> Iterator[str]:
         if abs(swing) < least
     ]:
         yield (
-            f"led by less than {abs(SWINGS_DEG[0]):g}°, so as to keep clear alone and all "
-            f"together: {', '.join(short)}"
+            f"guided by less than {abs(SWINGS_DEG[0]):g}° to avoid collisions: {', '.join(short)}"
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Which simulated arm, and what it carries.
+    """Simulated arm of a trial with its payload.
 
     Attributes:
-        name: Of the robot in its station.
-        robot: Its entry there.
-        payload: What is mounted, and declared.
+        name: Name of the robot in its station.
+        robot: Entry of the robot in the station file.
+        payload: Payload that is mounted and declared.
     """
 
     name: str
@@ -195,11 +199,11 @@ class Bench:
 
     @contextlib.contextmanager
     def arm(self, q_start: FloatArray) -> Iterator[Arm]:
-        """The arm at rest in a pose (n,) [rad], its brakes released by the first torque.
+        """Yield the arm, static in a pose (n,) [rad]; the first torque command releases the brakes.
 
         Raises:
-            SpecError: The robot is not a simulated one that can be driven by torque.
-            RobotError: It does not come up.
+            SpecError: The robot is not a simulated robot with torque control.
+            RobotError: The robot cannot be opened.
         """
         options: dict[str, Any] = {
             **self.robot.options,
@@ -207,7 +211,7 @@ class Bench:
             "rate_hz": RATE_HZ,
             "block": 1,
         }
-        # A process of its own would put a pipe between every two samples.
+        # A separate process would add inter-process communication at every sample.
         ours = self.robot.model_copy(update={"options": options, "own_process": False})
         with connected(self.name, ours) as robot:
             if not self.payload.is_empty:
@@ -215,15 +219,15 @@ class Bench:
             yield Arm(robot)
 
 
-REFUSED = "torque is commanded to simulated arms alone"
+REFUSED = "torque is commanded to simulated arms only"
 
 
 def require_simulated(name: str, robot: StationRobot) -> None:
-    """Refuse a robot that is not a simulated one on a virtual clock, before it is opened.
+    """Raise if a robot is not simulated on a virtual clock; the robot is not opened.
 
     Raises:
-        SpecError: It is not.
-        PluginError: Its driver is missing.
+        SpecError: The robot is not simulated on a virtual clock.
+        PluginError: The driver of the robot is not installed.
     """
     try:
         driver = plugins.load("hil.drivers", robot.driver)
@@ -231,30 +235,31 @@ def require_simulated(name: str, robot: StationRobot) -> None:
         raise PluginError(f"{name}: {error.message}", hint=error.hint) from error
     if not is_simulated(driver):
         raise SpecError(
-            f"{name} has the driver {robot.driver}, which does not declare itself a simulated arm "
+            f"{name} has the driver {robot.driver}, which does not declare a simulated arm "
             f"under torque control: {REFUSED}",
             hint="choose a station whose robot has driver: mock (experiments/stations/mock.yaml)",
         )
     if robot.options.get("clock", "virtual") != "virtual":
         raise SpecError(
-            f"{name} runs on wall time, but a trial steps its arm sample by sample",
-            hint="take clock: wall (and speed, queue_s, watchdog_s) out of the robot's options",
+            f"{name} runs on wall time, but a simulation needs an arm on a virtual clock",
+            hint="remove clock: wall (and speed, queue_s, watchdog_s) from the robot's options",
         )
 
 
 class Arm:
-    """One robot, a sample at a time.
+    """Access to one simulated robot, sample by sample.
 
     Attributes:
-        q, qd: (n,) as measured last [rad, rad/s].
+        q, qd: (n,) measured positions and velocities of the newest sample [rad, rad/s].
         limit: (n,) torque limits [N·m].
-        gains: (n,) torque per current that its controller assumes [N·m/A].
+        gains: (n,) drive gains that the controller of the robot assumes, torque per current
+            [N·m/A].
     """
 
     def __init__(self, robot: Robot) -> None:
         if not (is_simulated(robot) and isinstance(robot, TorqueControlled)):
             raise SpecError(
-                f"{robot.identity.model} is no simulated arm under torque control: {REFUSED}"
+                f"{robot.identity.model} is not a simulated arm with torque control: {REFUSED}"
             )
         self._robot = robot
         limits, can = robot.limits, robot.capabilities
@@ -266,11 +271,11 @@ class Arm:
         self._read()
 
     def step(self, torque: FloatArray, push: FloatArray | None = None) -> bool:
-        """Drive by a torque (n,) [N·m] within the limits, pushed by another, for one sample.
+        """Apply a limited torque (n,) [N·m] and the external torque `push` for one sample.
 
         Returns:
-            Whether the arm can go on: False when it is too fast or has a fault, or when the
-            torque is no number. It is braked then.
+            Whether the arm can continue to move. The method returns False if the arm is too fast or
+            has a fault, or if the torque is not finite; the brakes are then applied.
         """
         if not np.isfinite(torque).all():
             self.brake()
@@ -287,13 +292,13 @@ class Arm:
         return False
 
     def brake(self) -> None:
-        """Let the brakes bring the arm to rest, nobody pushing."""
+        """Apply the brakes of the arm and remove the external torque."""
         with contextlib.suppress(RobotFault):
             self._robot.push(self._still)
             self._robot.command_torque(None)
 
     def wait(self) -> bool:
-        """Let one sample pass with things as they are; False when the arm has a fault."""
+        """Advance by one sample without new commands; return False after a fault of the arm."""
         try:
             self._read()
         except RobotFault:
@@ -306,11 +311,11 @@ class Arm:
 
 
 SETTLE_S = 1.0
-"""At rest before the motion begins; not counted."""
+"""Duration of the static phase before the motion [s]; this phase is excluded from the results."""
 
 
 def spec_of(name: str, payload: Payload, seed: int) -> ExperimentSpec:
-    """A Fourier trajectory of ten seconds with a load mounted."""
+    """Return the spec of a Fourier trajectory of 10 s with a mounted payload."""
     load = {"mass_kg": payload.mass, "com_m": payload.com, "inertia_kgm2": payload.inertia}
     return ExperimentSpec.model_validate(
         {
@@ -331,11 +336,11 @@ def spec_of(name: str, payload: Payload, seed: int) -> ExperimentSpec:
 
 
 def trajectory_for(bench: Bench, seed: int) -> Reference:
-    """A trajectory from rest to rest, of a seed that experiments do not have by themselves.
+    """Return a trajectory from rest to rest, with a seed outside the range of experiments.
 
     Raises:
-        PlanError: There is no clear one.
-        SpecError: The load is more than the arm can carry.
+        PlanError: No collision-free trajectory was found.
+        SpecError: The payload exceeds the rated payload of the arm.
     """
     spec = spec_of(bench.name, bench.payload, seed)
     plan = build_plan(spec, bench.robot, rate_hz=RATE_HZ)
@@ -353,17 +358,17 @@ def trajectory_for(bench: Bench, seed: int) -> Reference:
 
 
 LEAD_S = 4.0
-"""A hand takes this long to lead a joint forth and back."""
+"""Time in which the hand guides one joint forth and back [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leading:
-    """A way for a hand: every joint in turn, then all together.
+    """Path of the simulated hand: every joint in turn, then all joints together.
 
     Attributes:
-        start: (n,) pose [rad].
-        swing: (n,) how far each joint is led [rad].
-        turn_s: How long a joint is led forth and back [s].
+        start: (n,) joint positions of the start pose [rad].
+        swing: (n,) amplitude of the motion of each joint [rad].
+        turn_s: Time in which the hand guides one joint forth and back [s].
     """
 
     start: FloatArray
@@ -372,16 +377,16 @@ class Leading:
 
     @property
     def turns_s(self) -> float:
-        """When every joint has had its turn [s]."""
+        """Time after which all joints have been guided one by one [s]."""
         return self.turn_s * len(self.start)
 
     @property
     def release_s(self) -> float:
-        """When the hand lets go: on the way of all joints together, at its fastest [s]."""
+        """Time at which the hand releases the arm, at the peak speed of the common motion [s]."""
         return self.turns_s + self.turn_s / 4
 
     def at(self, t: float) -> tuple[FloatArray, FloatArray]:
-        """Position and velocity (n,) of the hand [rad, rad/s]; at rest before 0."""
+        """Return position and velocity (n,) of the hand [rad, rad/s]; static before time 0."""
         share, rate = np.zeros_like(self.swing), np.zeros_like(self.swing)
         if t >= 0.0:
             now = slice(None) if t >= self.turns_s else int(t // self.turn_s)
@@ -392,23 +397,23 @@ class Leading:
 
 
 def leading_for(bench: Bench) -> Leading:
-    """A way for a hand about the roomiest pose of the arm.
+    """Return a path of the hand around the pose with the largest clearance.
 
     Raises:
-        PlanError: A joint cannot be led by even 5°.
+        PlanError: A joint cannot be guided without collision, even by only 5°.
     """
     arm = plannable_arm(bench.robot)
     workspace = workspace_of(spec_of(bench.name, bench.payload, 0), bench.robot, arm, RATE_HZ)
     start = roadmap_of(workspace).home
     swing = [_swing(workspace, start, j) for j in range(len(start))]
     together = Leading(start, np.array(swing))
-    # All together may touch what no joint alone does.
+    # The common motion possibly collides although no single joint motion does.
     while not workspace.is_clear(_along(together.start, together.swing)).all():
         together = Leading(start, together.swing / 2)
         if np.abs(together.swing).max() < np.radians(1.0):
             raise PlanError(
-                "no clear path leads all joints of the arm together",
-                hint="make the range smaller, or give the obstacles of the station more room",
+                "there is no collision-free path with all joints together",
+                hint="reduce the range, or move the obstacles of the station",
             )
     return together
 
@@ -420,9 +425,9 @@ def _swing(workspace: Workspace, start: FloatArray, joint: int) -> float:
         if workspace.is_clear(_along(start, way)).all():
             return float(way[joint])
     raise PlanError(
-        f"{workspace.joint_names[joint]} cannot be led by {abs(SWINGS_DEG[-1]):g}° about the "
+        f"{workspace.joint_names[joint]} cannot be guided by {abs(SWINGS_DEG[-1]):g}° about the "
         "roomiest pose of the arm",
-        hint="describe the station's surroundings as they are",
+        hint="check the surroundings in the station file",
     )
 
 
@@ -433,7 +438,7 @@ def _along(start: FloatArray, way: FloatArray) -> FloatArray:
 def tracked_by(
     model: RobotEstimator, bench: Bench, reference: Reference, pd: Spring, progress: Progress
 ) -> tuple[Tracked, ...]:
-    """A run for each law, all with the same controller."""
+    """Return the tracking runs for all feed-forward laws, all with the same controller."""
     with bench.arm(reference.q[0]) as arm:
         gains = arm.gains
     runs = []
@@ -445,18 +450,18 @@ def tracked_by(
 
 
 MOST_ERROR_RAD = 0.35
-"""Further from the trajectory the arm is braked."""
+"""Tracking error of a joint above which the brakes of the arm are applied [rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracked:
-    """One run.
+    """Result of one tracking run of a control trial.
 
     Attributes:
-        law: What was given ahead.
-        t: (N,) time [s]; up to where the arm was braked, if it was.
-        error: (N, n) position wanted minus position [rad].
-        stopped: Why the arm was braked; empty when it went to the end.
+        law: Name of the feed-forward law.
+        t: (N,) time [s]; ends early if the brakes were applied.
+        error: (N, n) tracking error, set-point minus position [rad].
+        stopped: Reason why the brakes were applied; empty if the run was completed.
     """
 
     law: str
@@ -466,12 +471,12 @@ class Tracked:
 
     @property
     def rms(self) -> FloatArray:
-        """(n,) of the error [rad]; NaN where the arm was braked."""
+        """RMS (n,) of the tracking error [rad]; NaN if the brakes were applied."""
         return self._judged(np.sqrt(np.mean(self.error**2, axis=0)))
 
     @property
     def worst(self) -> FloatArray:
-        """(n,) largest error [rad]; NaN where the arm was braked."""
+        """Maximum (n,) of the tracking error [rad]; NaN if the brakes were applied."""
         return self._judged(np.abs(self.error).max(axis=0))
 
     def _judged(self, values: FloatArray) -> FloatArray:
@@ -479,14 +484,14 @@ class Tracked:
 
 
 def track(arm: Arm, law: str, ahead: FloatArray, reference: Reference, pd: Spring) -> Tracked:
-    """Follow a reference; the rest before it does not count.
+    """Track a reference motion and return the result without the initial static phase.
 
     Args:
-        arm: At rest at the beginning of the reference.
-        law: Name of the law.
-        ahead: (N, n) its torque [N·m].
-        reference: N samples.
-        pd: The controller.
+        arm: Simulated arm, static at the beginning of the reference.
+        law: Name of the feed-forward law.
+        ahead: (N, n) feed-forward torque [N·m].
+        reference: Reference motion of N samples.
+        pd: PD controller.
     """
     errors, stopped = [], ""
     for q, qd, torque in zip(reference.q, reference.qd, ahead, strict=True):
@@ -509,7 +514,7 @@ def track(arm: Arm, law: str, ahead: FloatArray, reference: Reference, pd: Sprin
 NOTHING, DATASHEET = "drives off", "datasheet gravity"
 
 Drives = Callable[[FloatArray, FloatArray], FloatArray]
-"""Torque (n,) [N·m] from position and velocity."""
+"""Torque law of the drives: torque (n,) [N·m] from position and velocity."""
 
 GRAVITY, FRICTION = "gravity", "gravity and friction"
 
@@ -519,17 +524,17 @@ OF_THE_MODEL = (GRAVITY, FRICTION)
 def guidings(
     model: RobotEstimator, bench: Bench, friction_share: float
 ) -> tuple[dict[str, HandGuiding], list[str]]:
-    """What the model helps a hand with, and what was left out.
+    """Return the hand-guiding laws of the model, and notes about laws that are impossible.
 
     Raises:
-        FitError: The model has no gravity.
-        SpecError: There can be no such share.
+        FitError: The model has no gravity part.
+        SpecError: The friction share is outside its allowed range.
     """
     helped = {GRAVITY: HandGuiding(model, bench.payload, friction_share=0.0)}
     try:
         helped[FRICTION] = HandGuiding(model, bench.payload, friction_share=friction_share)
     except FitError as error:
-        return helped, [f"{error.message}: a hand is helped by gravity alone"]
+        return helped, [f"{error.message}: hand guiding uses gravity only"]
     return helped, []
 
 
@@ -541,10 +546,10 @@ def led_with(
     hand: Spring,
     progress: Progress,
 ) -> tuple[Led, ...]:
-    """A run for each way of helping a hand, the same hand every time."""
+    """Return the hand-guiding runs for all torque laws of the drives, with the same hand."""
     runs = []
     for name in (NOTHING, DATASHEET, *helped):
-        progress(f"led by hand: {name}")
+        progress(f"hand guiding: {name}")
         with bench.arm(way.start) as arm:
             drives: Drives | None = None
             if name == DATASHEET:
@@ -556,7 +561,10 @@ def led_with(
 
 
 def _datasheet(model: RobotEstimator, bench: Bench) -> Drives:
-    """Gravity of the arm as its maker describes it, with the load [N·m]."""
+    """Return the torque law [N·m] for gravity of the nominal arm and its payload.
+
+    The nominal arm has the parameters of the manufacturer.
+    """
     loaded = controllers.as_made(model.robot_, bench.payload)
 
     def gravity(q: FloatArray, qd: FloatArray) -> FloatArray:
@@ -567,35 +575,37 @@ def _datasheet(model: RobotEstimator, bench: Bench) -> Drives:
 
 
 def in_torque(guiding: HandGuiding, arm: Arm) -> Drives:
-    """What it gives, in N·m as the arm's own controller counts."""
+    """Return the guiding law with torques [N·m], converted with the controller drive gains."""
     scale = arm.gains if guiding.unit == "A" else np.ones_like(arm.gains)
-    # Unfiltered, wrists do not come to rest: see hil.control.hand_guiding.
+    # With unfiltered velocities, wrists do not come to rest: see hil.control.hand_guiding.
     slow = LowPass(SPEED_HZ, RATE_HZ)
     return lambda q, qd: guiding(q, slow(qd)) * scale
 
 
 MOST_STRAY_RAD = 0.6
-"""Further from the hand the arm is braked."""
+"""Angle between arm and hand at a joint above which the brakes of the arm are applied [rad]."""
 
 ALONE_S = 3.0
-"""It is watched after the hand has let go."""
+"""Time for which the arm is observed after the hand releases it [s]."""
 
 AT_REST_RAD_S = 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Led:
-    """One run.
+    """Result of one hand-guiding run of a control trial.
 
     Attributes:
-        way: What the drives gave.
-        turn_s: How long each joint was led, one after the other [s].
-        t: (N,) time while it was led [s].
+        way: Name of the torque law of the drives.
+        turn_s: Time for which each joint was guided; the joints were guided one after the other
+            [s].
+        t: (N,) time of the guided motion [s].
         effort: (N, n) torque of the hand [N·m].
-        q: (N, n) where the arm was [rad].
-        ran_on: (n,) how far joints went on after the hand had let go [rad].
-        rest_s: When all joints were at rest, after that [s]; infinite when never.
-        stopped: Why the arm was braked; empty when it was not.
+        q: (N, n) position of the arm [rad].
+        ran_on: (n,) angle by which each joint moved after the release [rad].
+        rest_s: Time from the release until all joints were static [s]; infinite if a joint did not
+            become static.
+        stopped: Reason why the brakes were applied; empty if the brakes were not applied.
     """
 
     way: str
@@ -609,17 +619,17 @@ class Led:
 
     @property
     def rms(self) -> FloatArray:
-        """(n,) effort of the hand at each joint while that is led [N·m]."""
+        """RMS effort (n,) of the hand at each joint while that joint is guided [N·m]."""
         return self._own_turn(lambda rows: float(np.sqrt(np.mean(rows**2))))
 
     @property
     def peak(self) -> FloatArray:
-        """(n,) largest effort of the hand at each joint while that is led [N·m]."""
+        """Maximum effort (n,) of the hand at each joint while that joint is guided [N·m]."""
         return self._own_turn(lambda rows: float(np.abs(rows).max()))
 
     @property
     def turn(self) -> FloatArray:
-        """(N,) which joint was led, n and more for all."""
+        """Index (N,) of the guided joint; n or more while all joints are guided."""
         return np.floor(self.t / self.turn_s)
 
     def _own_turn(self, figure: Callable[[FloatArray], float]) -> FloatArray:
@@ -630,14 +640,15 @@ class Led:
 
 
 def lead(arm: Arm, way: str, drives: Drives | None, leading: Leading, hand: Spring) -> Led:
-    """Lead an arm along a way, and let it go while it moves.
+    """Guide an arm along a path, and release it while it moves.
 
     Args:
-        arm: At rest at the beginning of the way.
-        way: Name of what the drives give.
-        drives: That; None for nothing, and brakes when the hand lets go.
-        leading: The way.
-        hand: How firm the hand is.
+        arm: Simulated arm, static at the beginning of the path.
+        way: Name of the torque law of the drives.
+        drives: Torque law of the drives; None if the drives give no torque and the brakes are
+            applied at the release.
+        leading: Path of the hand.
+        hand: Stiffness and damping of the hand.
     """
     still = np.zeros_like(leading.start)
     give = drives or (lambda q, qd: still)
@@ -651,17 +662,20 @@ def lead(arm: Arm, way: str, drives: Drives | None, leading: Leading, hand: Spri
         places.append(arm.q)
         if not going or np.abs(q - arm.q).max() > MOST_STRAY_RAD:
             arm.brake()
-            stopped = f"the arm strayed from the hand at {now:.2f} s"
+            stopped = f"the arm deviated from the hand at {now:.2f} s"
             break
     led = t[: len(efforts)] >= 0
     pieces = (t[: len(efforts)][led], np.array(efforts)[led], np.array(places)[led])
     if stopped:
         return Led(way, leading.turn_s, *pieces, np.full_like(still, np.nan), float("inf"), stopped)
-    return Led(way, leading.turn_s, *pieces, *_let_go(arm, drives))
+    return Led(way, leading.turn_s, *pieces, *_released(arm, drives))
 
 
-def _let_go(arm: Arm, drives: Drives | None) -> tuple[FloatArray, float, str]:
-    """(n,) how far the joints ran on, when they were at rest, and why the arm was braked."""
+def _released(arm: Arm, drives: Drives | None) -> tuple[FloatArray, float, str]:
+    """Return the motion (n,) [rad] after the release, its duration [s], and a reason.
+
+    The duration ends when the arm is static; the reason states why the brakes were applied.
+    """
     released, rest_s, stopped = arm.q.copy(), float("inf"), ""
     if drives is None:
         arm.brake()
@@ -669,7 +683,7 @@ def _let_go(arm: Arm, drives: Drives | None) -> tuple[FloatArray, float, str]:
         if drives is None or stopped:
             arm.wait()
         elif not arm.step(drives(arm.q, arm.qd)):
-            stopped = "it ran away when the hand had let go"
+            stopped = "it ran away after the release"
         moving = np.abs(arm.qd).max() > AT_REST_RAD_S
         rest_s = float("inf") if moving else min(rest_s, k / RATE_HZ)
     return np.abs(arm.q - released), rest_s, stopped
@@ -677,24 +691,24 @@ def _let_go(arm: Arm, drives: Drives | None) -> tuple[FloatArray, float, str]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """What a model was worth to a controller.
+    """Complete result of a control trial.
 
     Attributes:
-        model: Its folder.
-        estimator: What fitted it.
-        robot: Name in the station, and the station in words.
-        serial: Of the arm it was tried on.
-        fitted_on: Serial number of the arm it was fitted on; empty when nobody said.
-        joint_names: Length n.
-        payload: What was mounted.
-        seed: Of the trajectory.
-        friction_share: Of the dry friction, compensated while a hand leads.
-        pd: The controller that all laws share.
-        tracked: A run for each law.
-        leading: The way of the hand.
-        led: A run for each way of helping the hand.
-        seconds: It all took.
-        notes: What else one should know, the gravest first.
+        model: Path of the model folder.
+        estimator: Name of the estimator that fitted the model.
+        robot: Name of the robot in the station, and name of the station.
+        serial: Serial number of the arm that was used in the trial.
+        fitted_on: Serial number of the arm on which the model was fitted; empty if unknown.
+        joint_names: Names of the n joints.
+        payload: Mounted payload.
+        seed: Seed of the trajectory.
+        friction_share: Share of the dry friction that was compensated during hand guiding.
+        pd: PD controller that all feed-forward laws used.
+        tracked: Results of the tracking runs, one per feed-forward law.
+        leading: Path of the hand.
+        led: One hand-guiding run per torque law of the drives.
+        seconds: Duration of the trial [s].
+        notes: Further notes, the most severe note first.
     """
 
     model: str
@@ -715,11 +729,11 @@ class Trial:
 
     @property
     def ok(self) -> bool:
-        """Whether the model met all that it is held to (`hil.control.try_out`)."""
+        """Whether the model meets all criteria of a control trial (`hil.control.try_out`)."""
         return all(criterion.met for criterion in judged(self))
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil try-out --json`."""
+        """Return the document that `hil simulate --json` prints."""
         return {
             "ok": self.ok,
             "criteria": [asdict(criterion) for criterion in judged(self)],
@@ -775,14 +789,14 @@ def _led(run: Led) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
-    """One of them.
+    """Criterion of a control trial with its result.
 
     Attributes:
-        name: Short and stable.
-        asked: What is asked for.
-        met: Whether it is so.
-        found: What was found instead, in words.
-        mend: What to do when it is not met.
+        name: Short name of the criterion, which does not change between versions.
+        asked: Requirement.
+        met: Whether the criterion is met.
+        found: Result of the trial as text.
+        mend: Remedy if the criterion is not met.
     """
 
     name: str
@@ -796,7 +810,10 @@ ENDED, RESTED, TRACKED, HELPED = "ended", "at rest", "tracking", "hand"
 
 
 def judged(trial: Trial) -> tuple[Criterion, ...]:
-    """All of them. Runs without the model are what it is compared with, and not judged."""
+    """Return the results of all criteria for the runs with the model.
+
+    Runs without the model are only a reference and have no criterion.
+    """
     return (*_runs(trial), _tracking(trial), _hand(trial))
 
 
@@ -806,16 +823,16 @@ def _runs(trial: Trial) -> Iterator[Criterion]:
               if run.stopped and run.law not in controllers.UNIDENTIFIED]  # fmt: skip
     braked += [f"{run.way}: {run.stopped}" for run in ways if run.stopped]
     yield Criterion(
-        ENDED, "no run with the model has to be braked", not braked,
-        f"BRAKED, {listed(braked)}" if braked else "none was",
-        "try a model that was fitted on this very arm, or --friction-share 0",
+        ENDED, "no run with the model needs the brakes", not braked,
+        f"BRAKED, {listed(braked)}" if braked else "no brakes",
+        "use a model that was fitted on this arm, or --friction-share 0",
     )  # fmt: skip
     restless = [run.way for run in ways if not np.isfinite(run.rest_s)]
     last = max((run.rest_s for run in ways), default=np.nan)
     yield Criterion(
-        RESTED, "let go, the arm comes to rest", not restless,
+        RESTED, "the arm comes to rest after the release", not restless,
         f"NOT AT REST with {listed(restless)}" if restless else f"within {last:.1f} s every time",
-        "take less of the friction (--friction-share), or a model that knows gravity better",
+        "reduce --friction-share, or use a model with more accurate gravity",
     )  # fmt: skip
 
 
@@ -825,27 +842,32 @@ def _tracking(trial: Trial) -> Criterion:
     found = (
         f"an error {better:.1f} times smaller than with {best}"
         if np.isfinite(better)
-        else "not known"
+        else "unknown"
     )
     return Criterion(
-        TRACKED, "the model tracks better than what needs no identification", bool(better > 1.0),
-        found, "fit a model with inertia and friction, to trajectories of this very arm",
+        TRACKED, "the model tracks better than laws without identification", bool(better > 1.0),
+        found, "fit a model with inertia and friction to trajectories of this arm",
     )  # fmt: skip
 
 
 def _hand(trial: Trial) -> Criterion:
     way = most_help(trial)
     share = relief(trial, way, NOTHING)
-    found = f"with {way} {halves(share)}" if np.isfinite(share).all() else "not known"
+    found = f"with {way} {halves(share)}" if np.isfinite(share).all() else "unknown"
     return Criterion(
         HELPED, "effort of the hand at most half of that with the drives off, in every joint",
         bool(np.all(share <= HALF)), found,
-        "take more of the friction (--friction-share, below 1), or a model that knows it better",
+        "increase --friction-share (below 1), or use a model with more accurate friction",
     )  # fmt: skip
 
 
 def unaided(trial: Trial) -> str:
-    """The law that tracks best of those that need no identification; empty when all were braked."""
+    """Return the name of the best feed-forward law that needs no identification.
+
+    The best law has the least tracking error.
+
+    The returned name is empty if the brakes were applied in all runs with these laws.
+    """
     known = {
         run.law: mean_of(run.rms) for run in trial.tracked if run.law in controllers.UNIDENTIFIED
     }
@@ -854,13 +876,16 @@ def unaided(trial: Trial) -> str:
 
 
 def improvement(trial: Trial) -> float:
-    """Mean RMS error with the best law that needs no identification over that with the model."""
+    """Return how much the model reduces the mean RMS tracking error, as a ratio.
+
+    The ratio is the error of the best law without identification divided by the error of the model.
+    """
     by_law = {run.law: mean_of(run.rms) for run in trial.tracked}
     return by_law.get(unaided(trial), np.nan) / by_law[controllers.MODEL]
 
 
 def relief(trial: Trial, of: str, over: str) -> FloatArray:
-    """(n,) RMS effort of the hand with one help over that with another; NaN without a run."""
+    """Return the ratios (n,) of the RMS hand efforts with two laws; NaN without a run."""
     by_way = {run.way: run.rms for run in trial.led}
     if of not in by_way or over not in by_way:
         return np.full(len(trial.joint_names), np.nan)
@@ -868,12 +893,12 @@ def relief(trial: Trial, of: str, over: str) -> FloatArray:
 
 
 def most_help(trial: Trial) -> str:
-    """The most that the model helps a hand with."""
+    """Return the name of the most complete hand-guiding law of the model."""
     return [run.way for run in trial.led if run.way in OF_THE_MODEL][-1]
 
 
 def halves(share: FloatArray) -> str:
-    """Which joints of (n,) are at most half, and the mean, in words."""
+    """Return a text that lists the shares (n,), their mean and the joints at or below one half."""
     half = [f"J{j + 1}" for j in np.flatnonzero(share <= HALF)]
     which = "every joint" if len(half) == len(share) else listed(half) or "no joint"
     each = " ".join(f"{100 * value:.0f}" for value in share)

@@ -1,4 +1,4 @@
-"""What a trial found, as tables, figures and sentences, for page and terminal alike."""
+"""Report of a control trial: tables, figures and sentences for web page and terminal."""
 
 from __future__ import annotations
 
@@ -37,41 +37,42 @@ from hil.studies import (
 NAME = "try-out"
 
 TRACKING_TEXT = (
-    "A Fourier trajectory of ten seconds with a seed of its own, which experiments do not have "
-    f"unless they ask for it, followed by the same PD controller at {RATE_HZ:g} Hz every time; "
-    "only the torque given ahead of any error differs. Its gains are soft (last section), as "
-    "suits an arm among people: a firmer controller leaves less for a model to gain.",
+    "Motion: a Fourier trajectory of ten seconds, with a seed that experiments do not use by "
+    f"default. The same PD controller at {RATE_HZ:g} Hz is used in all runs; only the feed-forward "
+    "torque differs. The gains of the controller are low (last section), as for an arm near "
+    "people. With higher gains, the improvement by a model is smaller.",
 )
 
 HAND_TEXT = (
-    "A hand, which is a spring and a damper at every joint, leads one joint after the other forth "
-    "and back, then all together, and lets go while they move at their fastest. Its effort is the "
-    "torque at a joint while that is led. With the drives off it carries the arm as well.",
-    "Most of what that saves is the weight of the arm, and gravity of the datasheet saves much of "
-    "it too. What compensating friction is worth shows between gravity alone, and gravity and "
-    "friction.",
+    "The hand is a spring and a damper at every joint. It guides one joint after the other back "
+    "and forth, then all joints together, and releases the arm at the largest speed. The effort of "
+    "the hand is the torque at a joint while this joint is guided. With the drives off, the hand "
+    "also carries the weight of the arm.",
+    "The largest part of the reduction is the weight of the arm; gravity of the datasheet arm "
+    "reduces the effort as well. The effect of friction compensation is the difference between "
+    "gravity, and gravity and friction.",
 )
 
 
 def found(trial: Trial) -> StudyResult:
-    """Everything worth showing."""
+    """Return the complete report of a control trial."""
     hand = (shares(trial), efforts(trial))
     parts = (
         Part("Feed-forward", "", TRACKING_TEXT, _tracking_tables(trial), errors(trial)),
-        Part("Led by hand", "", HAND_TEXT, _hand_tables(trial), hand),
+        Part("Hand guiding", "", HAND_TEXT, _hand_tables(trial), hand),
         Part("The controller", "", (), (_controller(trial),)),
     )
     return StudyResult(
         NAME,
-        f"What {trial.estimator} is worth to a controller",
+        f"Control with the model {trial.estimator}",
         tuple(_sentences(trial)),
         parts,
         {
             "robot": trial.robot,
             "arm": trial.serial,
-            "fitted on": trial.fitted_on or "not told",
+            "fitted on": trial.fitted_on or "unknown",
             "payload": "none" if trial.payload.is_empty else str(trial.payload),
-            "trajectory": f"seed {trial.seed} (drawn with {SEEDS_APART + trial.seed})",
+            "trajectory": f"seed {trial.seed} (random generator: {SEEDS_APART + trial.seed})",
             "controller": f"{RATE_HZ:g} Hz",
             "friction compensated": f"{100 * trial.friction_share:g} % of the dry friction",
             "velocity for its direction": f"below {SPEED_HZ:g} Hz",
@@ -94,7 +95,7 @@ def _tracking_tables(trial: Trial) -> tuple[Table, ...]:
 def _by_joint(
     trial: Trial, key: str, title: str, columns: Mapping[str, FloatArray], note: str = ""
 ) -> Table:
-    """A row for each joint, so that the numbers of a column are of one size."""
+    """Return a table with one row per joint, so that the numbers of a column have similar size."""
     names = [f"J{j + 1} {name}" for j, name in enumerate(trial.joint_names)]
     cells = (values(column) for column in columns.values())
     rows = tuple(zip(names, *cells, strict=True))
@@ -102,13 +103,15 @@ def _by_joint(
 
 
 PEAK = (
-    "Measured, not a limit: the hand has none. With the drives off it is the weight, else what a "
-    "joint takes to break loose; no friction is carried then, so it hardly depends on that."
+    "Measured value; the force of the hand has no limit. With the drives off, the maximum is the "
+    "weight. Otherwise it is the breakaway torque of a joint, which hardly depends on friction "
+    "compensation, because a static joint has none."
 )
 
 LET_GO = (
-    "The less the better, and at rest: an arm that was led coasts on its own inertia, further the "
-    "less friction is left. With the drives off the brakes hold the arm then."
+    "Small values are good, and the arm must come to rest. After the release, the arm coasts by "
+    "its inertia; with less remaining friction it coasts further. With the drives off, the brakes "
+    "hold the arm after the release."
 )
 
 
@@ -119,12 +122,12 @@ def _hand_tables(trial: Trial) -> tuple[Table, ...]:
     free = tuple((run.way, *values(np.degrees(run.ran_on)), value(run.rest_s)) for run in trial.led)
     return (
         _by_joint(trial, "table-hand-rms", "Effort of the hand, RMS [N·m]", rms),
-        _by_joint(trial, "table-hand-share", "The same as a share [%]", _shares(trial)),
-        _by_joint(trial, "table-hand-peak", "Effort of the hand, largest [N·m]", peak, PEAK),
+        _by_joint(trial, "table-hand-share", "RMS effort, relative [%]", _shares(trial)),
+        _by_joint(trial, "table-hand-peak", "Effort of the hand, maximum [N·m]", peak, PEAK),
         Table(
             "table-let-go",
-            "How far joints ran on when the hand let go [°]",
-            ("drives give", *titles, "at rest after [s]"),
+            "Motion of the joints after the release [°]",
+            ("torque law", *titles, "at rest after [s]"),
             free,
             LET_GO,
         ),
@@ -132,7 +135,7 @@ def _hand_tables(trial: Trial) -> tuple[Table, ...]:
 
 
 def _shares(trial: Trial) -> dict[str, FloatArray]:
-    """RMS effort of the hand with one help over that with another [%], where both were run."""
+    """Return the ratios of the RMS hand efforts with two laws [%], if both were run."""
     pairs: Sequence[tuple[str, str]] = (
         (try_out.DATASHEET, try_out.NOTHING),
         (try_out.GRAVITY, try_out.NOTHING),
@@ -149,7 +152,7 @@ def _controller(trial: Trial) -> Table:
         "stiffness [N·m/rad]": trial.pd.stiffness,
         "damping [N·m·s/rad]": trial.pd.damping,
     }
-    return _by_joint(trial, "table-pd", "The PD controller", gains, "The same for every law.")
+    return _by_joint(trial, "table-pd", "PD controller", gains, "The same for all laws.")
 
 
 def _sentences(trial: Trial) -> Iterator[str]:
@@ -159,46 +162,50 @@ def _sentences(trial: Trial) -> Iterator[str]:
     yield f"Tracking error, RMS, mean over the joints: {listed(told)}."
     if np.isfinite(improvement(trial)):
         yield (
-            f"With the model it is {improvement(trial):.1f} times smaller than with "
-            f"{unaided(trial)}, the best that needs no identification, behind a soft PD controller."
+            f"With the model, the tracking error is {improvement(trial):.1f} times smaller than "
+            f"with {unaided(trial)}, the best law without identification (soft PD controller)."
         )
     way = most_help(trial)
     for over in (try_out.NOTHING, try_out.DATASHEET, try_out.GRAVITY):
         share = relief(trial, way, over)
         if over != way and np.isfinite(share).all():
-            yield f"Effort of the hand with {way}, of that with {over}: {halves(share)}."
+            yield f"Effort of the hand with {way}, relative to {over}: {halves(share)}."
     yield from _of_the_unaided(trial)
     if trial.led and all(np.isfinite(led.rest_s) for led in trial.led):
         last = max(led.rest_s for led in trial.led)
-        yield f"After the hand had let go the arm was at rest within {last:.1f} s every time."
+        yield f"After every release, the arm was at rest within {last:.1f} s."
 
 
 def _of_the_unaided(trial: Trial) -> Iterator[str]:
-    """What went wrong in runs that the model is only compared with."""
+    """Yield sentences about problems in the runs that are only a reference for the model."""
     runs: tuple[Tracked | Led, ...] = (*trial.tracked, *trial.led)
     for run in runs:
         name = run.law if isinstance(run, Tracked) else run.way
         if run.stopped and name in (*controllers.UNIDENTIFIED, try_out.NOTHING, try_out.DATASHEET):
-            yield f"Without the model, {name}, the arm was braked: {run.stopped}."
+            yield f"Without the model ({name}), the arm was braked: {run.stopped}."
     for led in trial.led:
         if not led.stopped and not np.isfinite(led.rest_s) and led.way == try_out.DATASHEET:
-            yield f"With {led.way} the arm did not come to rest after the hand had let go."
+            yield f"With {led.way}, the arm did not come to rest after the release."
 
 
 DRAWN_HZ = 50.0
-"""Points of a curve, per second of the motion."""
+"""Number of plotted points per second of the motion [1/s]."""
 
 
 def errors(trial: Trial) -> tuple[Figure, Figure]:
-    """Tracking errors with and without the model, and its own, which the others dwarf."""
-    # The model first, so that it looks the same in both.
+    """Return two figures of the tracking error: all feed-forward laws, and the model alone.
+
+    The tracking error with the model is too small to be visible next to the errors of the other
+    laws.
+    """
+    # The model is first, so that it has the same color in both figures.
     beside = [run for run in reversed(trial.tracked) if run.law != controllers.GRAVITY]
     own = [run for run in trial.tracked if run.law == controllers.MODEL]
-    caption = "Position wanted minus position. Gravity of the model alone is in the table."
+    caption = "Commanded position minus position. The law with gravity only is in the table."
     return (
         _errors(trial, "fig-tracking", "Tracking error", caption, beside),
-        _errors(trial, "fig-tracking-model", "Tracking error with the model alone",
-                "The same at a scale of its own.", own),
+        _errors(trial, "fig-tracking-model", "Tracking error with the model",
+                "The error with the model at a larger scale.", own),
     )  # fmt: skip
 
 
@@ -223,18 +230,18 @@ def _tuple(numbers: FloatArray) -> tuple[float, ...]:
 
 
 def efforts(trial: Trial) -> Figure:
-    """Effort of the hand over the angle led."""
+    """Return the figure of the hand effort over the guided angle."""
     runs = [run for run in reversed(trial.led) if run.way != try_out.DATASHEET]
     panels = [
         Panel(
-            f"J{j + 1} {name}", "angle led [°]", "effort of the hand [N·m]",
+            f"J{j + 1} {name}", "guided angle [°]", "effort of the hand [N·m]",
             tuple(_turn(run, j, float(trial.leading.start[j])) for run in runs),
         )
         for j, name in enumerate(trial.joint_names)
     ]  # fmt: skip
     caption = (
-        "Torque of the hand while the joint is led, over the angle from where it began. The height "
-        "of a loop is friction, its slope and level are gravity, and the spring of the hand."
+        "Torque of the hand while the joint is guided, over the angle from the start. The height "
+        "of a loop shows friction; its slope and level show gravity and the spring of the hand."
     )
     return Figure("fig-hand", "Effort of the hand", caption, tuple(panels), 2)
 
@@ -245,12 +252,12 @@ def _turn(run: Led, joint: int, start: float) -> Curve:
 
 
 def shares(trial: Trial) -> Figure:
-    """RMS effort of the hand as a share of that with the drives off."""
+    """Return the figure of the RMS hand effort relative to that with the drives off."""
     titles = joint_titles(len(trial.joint_names))
     curves = tuple(
         Curve(way, titles, _tuple(100 * relief(trial, way, try_out.NOTHING)), "bars")
         for way in (run.way for run in reversed(trial.led))
         if way != try_out.NOTHING
     )
-    panel = Panel("RMS effort of the hand", "joint", "of that with the drives off [%]", curves)
-    return Figure("fig-hand-rms", "What is left of the effort", "", (panel,), 1)
+    panel = Panel("RMS effort of the hand", "joint", "relative to drives off [%]", curves)
+    return Figure("fig-hand-rms", "Remaining effort of the hand", "", (panel,), 1)

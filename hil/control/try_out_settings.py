@@ -1,21 +1,29 @@
-"""What a trial is made with when nobody says otherwise; light, for the command line reads it."""
+"""Default settings of a control trial.
+
+This module has no heavy imports, because the command line imports it.
+"""
 
 from __future__ import annotations
 
 RATE_HZ = 1000.0
-"""Of the controller."""
+"""Sample rate of the controller [Hz]."""
 
 FRICTION_SHARE = 0.7
-"""Of the dry friction, compensated while a hand leads. `HandGuiding` by itself takes less: without
-the filter below 0.7 does not always come to rest."""
+"""Share of the dry friction that is compensated during hand guiding in a trial.
+
+The class `HandGuiding` alone uses a lower default share: without the velocity filter of the trial,
+an arm with the share 0.7 does not always come to rest.
+"""
 
 SPEED_HZ = 10.0
-"""Cutoff of the velocity that tells the direction of friction."""
+"""Cutoff frequency of the filter for the velocity that determines the direction of friction
+[Hz]."""
 
 SEEDS_APART = 900_000
-"""Trials count their seeds from here, where experiments of people are not."""
+"""Offset of the seeds of control trials, so that they differ from the seeds of experiments."""
 
 MOST_SEED = 2**32 - 1 - SEEDS_APART
 
 HALF = 0.5
-"""Of the effort of the hand with the drives off: what may be left with compensation."""
+"""Maximum allowed ratio of the hand effort with compensation to the hand effort with the drives
+off."""

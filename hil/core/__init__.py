@@ -1,4 +1,4 @@
-"""What every package stands on: errors, plug-ins, files, locks, YAML with positions, units."""
+"""Foundations of all packages: errors, plug-ins, files, locks, YAML with positions, units."""
 
 import lazy_loader
 

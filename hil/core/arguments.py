@@ -1,4 +1,4 @@
-"""Arguments of public functions, checked at their entry: a mistake is a `HilError` with a hint."""
+"""Validation of the arguments of public functions: an invalid argument raises a `HilError`."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def path_of(given: AnyPath) -> Path:
     if isinstance(given, str | Path):
         return Path(given)
     raise SpecError(
-        f"a path is wanted, not {given!r:.80}",
-        hint="give it as text or pathlib.Path; that of a report is its `run`",
+        f"expected a path, got {given!r:.80}",
+        hint="pass text or pathlib.Path; the path of a run report is its attribute `run`",
     )
 
 
@@ -30,7 +30,7 @@ def paths_of(given: AnyPath | Iterable[AnyPath]) -> list[Path]:
     """Return a list of paths; a string counts as one path, not as a sequence of characters.
 
     Raises:
-        SpecError: One is neither text nor a path.
+        SpecError: An entry is neither text nor a path.
     """
     if isinstance(given, str | Path) or not isinstance(given, Iterable):
         return [path_of(given)]
@@ -38,50 +38,51 @@ def paths_of(given: AnyPath | Iterable[AnyPath]) -> list[Path]:
 
 
 def sources_of(*given: AnyPath | Iterable[AnyPath]) -> list[Path]:
-    """Return paths of recordings, one at least.
+    """Return the paths of recordings; raise if there is no path.
 
     Raises:
-        DataError: There is none.
-        SpecError: One is neither text nor a path.
+        DataError: The arguments contain no path.
+        SpecError: An entry is neither text nor a path.
     """
     paths = [one for some in given for one in paths_of(some)]
     if not paths:
         raise DataError(
-            "no recording was given", hint="give a run directory or an MCAP file (hil.find_runs)"
+            "no recording was passed", hint="pass a run directory or an MCAP file (hil.find_runs)"
         )
     return paths
 
 
 def values_by_name(given: Mapping[str, Any] | None, what: str, example: str) -> dict[str, Any]:
-    """Return values by name; none when nothing is given.
+    """Return a mapping argument as a dict; empty if the argument is None.
 
     Args:
-        given: The argument.
-        what: Its name.
-        example: What it may look like.
+        given: Value that the caller passed as the argument.
+        what: Name of the argument, for the error message.
+        example: Example of a valid value, for the error message.
 
     Raises:
-        SpecError: It is no mapping of names.
+        SpecError: The argument is not a mapping with texts as keys.
     """
     if given is None:
         return {}
     if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
         raise SpecError(
-            f"{what} is {given!r:.80}, not values by name", hint=f"for example: {example}"
+            f"{what} is {given!r:.80}, not a mapping with texts as keys",
+            hint=f"for example: {example}",
         )
     return dict(given)
 
 
 def whole_number(given: int, what: str, least: int) -> int:
-    """Return a whole number.
+    """Return the value of an argument that must be an integer.
 
     Args:
-        given: The argument.
-        what: Its name.
-        least: The smallest number allowed.
+        least: Smallest value that is allowed.
+        what: Name of the argument, for the error message.
+        given: Value that the caller passed as the argument.
 
     Raises:
-        SpecError: It is no whole number, or too small.
+        SpecError: The argument is not an integer, or is below `least`.
     """
     try:
         number = index(given)
@@ -89,7 +90,7 @@ def whole_number(given: int, what: str, least: int) -> int:
         number = least - 1
     if number < least:
         raise SpecError(
-            f"{what} is {given!r:.80}, not a whole number from {least} on",
+            f"{what} is {given!r:.80}, not a whole number ≥ {least}",
             hint=f"for example: {what}={max(least, 3)}",
         )
     return number

@@ -1,4 +1,4 @@
-"""Durations in the form of schedules: `7d`, `90min`, `1h30min`."""
+"""Conversion of durations in the notation of schedules: `7d`, `90min`, `1h30min`."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _MOST = timedelta(days=36_500)
 
 
 def duration_of(text: str) -> timedelta:
-    """Return the duration of a text.
+    """Return the duration that a text such as `90min` describes.
 
     Raises:
-        ValueError: The text is no duration, or more than 100 years.
+        ValueError: The text is not a duration, or the duration exceeds 100 years.
     """
     if not re.match(PATTERN, text):
         raise ValueError(f"must be a duration such as 7d, 12w, 8h or 90min, not {text!r}")
@@ -30,7 +30,7 @@ def duration_of(text: str) -> timedelta:
 
 
 def duration_text(duration: timedelta) -> str:
-    """Return the text of a duration, in whole seconds: the inverse of `duration_of`."""
+    """Return the text for a duration in whole seconds; inverse of `duration_of`."""
     left, parts = round(duration.total_seconds()), []
     for unit in ("w", "d", "h", "min", "s"):
         count, left = divmod(left, int(SECONDS[unit]))

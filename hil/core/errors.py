@@ -1,29 +1,29 @@
-"""Every error `hil` raises on purpose, with its process exit code.
+"""Errors that `hil` raises on purpose, with their process exit codes.
 
 ::
 
-    HilError                     1   (never raised itself)
-    ├── SpecError                2   a spec, station or map file says something that cannot be
-    ├── PlanError                2   the spec is well formed, but no safe plan follows from it
+    HilError                     1   (base class, never raised itself)
+    ├── SpecError                2   a spec, station or map file is not valid
+    ├── PlanError                2   the spec is well formed, but no safe plan exists for it
     ├── PluginError              2   a driver, estimator or check is missing or broken
     ├── PreflightFailed          3   a check before motion failed
     │   └── NotConfirmed             the motion of a real robot was not confirmed
-    ├── RobotError               4   the rig, not the result, is broken
+    ├── RobotError               4   the robot or its connection has a fault
     │   ├── RobotConnectionError     (also ConnectionError)
     │   ├── RobotTimeout             (also TimeoutError)
     │   ├── RobotFault               the controller reports a fault
-    │   ├── CommandRefused           the controller said no
-    │   └── StaleState               the driver gets no data, or data without a time
+    │   ├── CommandRefused           the controller refused a command
+    │   └── StaleState               the driver receives no data, or data without a time stamp
     ├── InterlockTripped         5   motion was stopped by an interlock
-    ├── Stopped                  6   somebody stopped it (130 when by signal)
-    ├── RecordingError           7   the recorder could not keep the data
-    ├── DataError                8   a data file or run directory cannot be used
-    │   └── CheckpointRefused        a training kept on disk is damaged, or another one
-    ├── FitError                 9   an estimator cannot fit what it was given
-    ├── Rejected                 10  the model missed its acceptance criteria
-    └── RegistryError            11  the model registry cannot do what was asked
+    ├── Stopped                  6   the run was stopped on request (130 if by signal)
+    ├── RecordingError           7   the recorder could not store the data
+    ├── DataError                8   a data file or run directory is not usable
+    │   └── CheckpointRefused        a training checkpoint is damaged or of a different training
+    ├── FitError                 9   an estimator cannot fit the data
+    ├── Rejected                 10  the model violates its acceptance criteria
+    └── RegistryError            11  the model registry cannot complete a request
 
-A bad *result* (10) is never confused with a broken *rig* (4, 5, 7).
+A rejected *result* (10) has a different exit code than a fault of the *setup* (4, 5, 7).
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from typing import ClassVar
 
 
 class HilError(Exception):
-    """Base of all: a message that says what and where, and a hint that says how to mend it.
+    """Base class of all errors of hil, with a message and a hint.
 
     Args:
-        message: What went wrong and where, complete without the traceback.
-        hint: The next thing to do, as a sentence or a command to type.
+        message: Description and location of the problem, complete without the traceback.
+        hint: Next action of the user, as a sentence or as a command to type.
     """
 
     exit_code: ClassVar[int] = 1
@@ -52,35 +52,35 @@ class HilError(Exception):
 
 
 class SpecError(HilError):
-    """A spec, station or map file cannot be used; `message` holds one line per problem."""
+    """A spec, station or map file is not usable; `message` contains one line per problem."""
 
     exit_code = 2
 
 
 class PlanError(HilError):
-    """The spec is well formed but no safe plan follows from it."""
+    """No safe plan exists for a well-formed spec."""
 
     exit_code = 2
 
 
 class PluginError(HilError):
-    """A named driver, excitation, estimator, check or mock is missing or does not load."""
+    """A driver, excitation, estimator, check or mock is missing or cannot be loaded."""
 
     exit_code = 2
 
 
 class PreflightFailed(HilError):
-    """At least one check before motion failed; the message lists all of them."""
+    """At least one preflight check failed; the message lists all failed checks."""
 
     exit_code = 3
 
 
 class NotConfirmed(PreflightFailed):
-    """The motion of a real robot was not confirmed; the robot stands still."""
+    """The motion of a real robot was not confirmed; the robot does not move."""
 
 
 class RobotError(HilError):
-    """The robot or the way to it is broken."""
+    """The robot or the connection to it has a fault."""
 
     exit_code = 4
 
@@ -90,7 +90,7 @@ class RobotConnectionError(RobotError, ConnectionError):
 
 
 class RobotTimeout(RobotError, TimeoutError):
-    """The robot did not do in time what it had accepted to do."""
+    """The robot did not complete an accepted action in time."""
 
 
 class RobotFault(RobotError):
@@ -102,7 +102,10 @@ class CommandRefused(RobotError):
 
 
 class StaleState(RobotError):
-    """A driver gets no state any more, or state without a time; state that repeats itself trips."""
+    """The driver receives no state, or a state without a time stamp.
+
+    If the same state is received repeatedly, an interlock trips, and this error is not raised.
+    """
 
 
 class InterlockTripped(HilError):
@@ -122,19 +125,22 @@ class Stopped(HilError):
 
 
 class RecordingError(HilError):
-    """The recorder cannot keep the data (disk full, writer dead, fallen behind)."""
+    """The recorder cannot store the data (disk full, writer dead, backlog too large)."""
 
     exit_code = 7
 
 
 class DataError(HilError):
-    """A data file or run directory is damaged, incomplete or from another version."""
+    """A data file or run directory is damaged, incomplete or from a different version."""
 
     exit_code = 8
 
 
 class CheckpointRefused(DataError):
-    """A training kept in `folder` cannot be gone on with; without the folder it begins anew."""
+    """The training of a network cannot be continued from the checkpoint in `folder`.
+
+    If the folder of the checkpoint is removed, the training restarts from the beginning.
+    """
 
     def __init__(self, message: str, *, folder: Path | None = None, hint: str = "") -> None:
         super().__init__(message, hint=hint)
@@ -142,25 +148,25 @@ class CheckpointRefused(DataError):
 
 
 class FitError(HilError):
-    """An estimator cannot fit what it was given."""
+    """An estimator cannot fit the data."""
 
     exit_code = 9
 
 
 class Rejected(HilError):
-    """The model missed the acceptance criteria of its spec."""
+    """The model violates the acceptance criteria of its spec."""
 
     exit_code = 10
 
 
 class RegistryError(HilError):
-    """The model registry cannot do what was asked."""
+    """The model registry cannot complete the request."""
 
     exit_code = 11
 
 
 def exit_code_of(error: BaseException) -> int:
-    """The documented process exit code for an error (130 for a stop by signal)."""
+    """Return the documented process exit code for an error (130 for a stop by signal)."""
     if isinstance(error, Stopped) and error.by_signal:
         return 130
     if isinstance(error, KeyboardInterrupt):

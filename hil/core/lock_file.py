@@ -1,16 +1,20 @@
-"""Lock files with an owner: a robot's lease, a live run, a fleet at work, a bus that is hosted.
+"""Advisory lock files with an owner: leases of robots, live runs, active fleets and hosted buses.
 
-One process at a time may hold such a file. `hold` takes it or returns who has it and never waits;
-`holder_of` only looks. The content is JSON about the holder (process, host, user, command, since
-when), for the message of whoever comes second.
+Only one process at a time holds a lock file. The function `hold` acquires the lock file or returns
+its present holder, without waiting; `holder_of` only reads the lock file. The lock file contains
+JSON about its holder (process, host, user, command, start time), which is shown to the next process
+that tries to acquire the file.
 
-Two signs of life, because neither is enough. The kernel's `flock` belongs to the open file and is
-gone when the last descriptor is, however the process ends; but a file system without locks, or a
-network mount whose locks end at each host, does not show it. There the heartbeat decides: the
-holder touches the file every second, and counts as alive for `FRESH_S` after the last touch.
+Two signals show whether the holder of a lock file is alive: a kernel lock and a heartbeat. The
+kernel lock (`flock`) belongs to the open file and ends when the last descriptor is closed, even if
+the process is killed. But on a file system without locks, or on a network mount with locks per
+host, other hosts do not observe the kernel lock. On file systems without visible locks, the
+heartbeat decides: the holder touches the lock file every second, and counts as alive for `FRESH_S`
+after the last touch.
 
-`hold_folder` locks a folder (`FOLDER/.lock`) and raises a readable error if it is held; `hold_run`
-does so for a run directory, which counts as live while locked.
+The function `hold_folder` locks a folder (`FOLDER/.lock`) and raises a readable error if the folder
+is already locked. The function `hold_run` locks a run directory, which counts as live while it is
+locked.
 """
 
 from __future__ import annotations
@@ -38,14 +42,14 @@ from hil.core.errors import DataError, RecordingError
 from hil.core.text import json_text
 
 LOCK = ".lock"
-"""Of a folder that one process at a time works in."""
+"""Name of the lock file in a folder that only one process at a time may use."""
 
 HEARTBEAT_S = 1.0
 FRESH_S = 15.0
-"""Up to this age a heartbeat alone counts as a sign of life, where no lock can be seen [s]."""
+"""Maximum age of a heartbeat that still proves a living process if no lock is visible [s]."""
 
 _LOOKED_AT_S = 0.3
-"""`holder_of` locks the file for an instant, which must not pass for a holder [s]."""
+"""Time for which `hold` ignores a lock, because `holder_of` locks the file for an instant [s]."""
 
 _MOST_BYTES = 64 * 1024
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP)
@@ -54,11 +58,11 @@ _OPEN = os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOFOLLOW
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """The process that holds a lock file.
+    """Process that holds a lock file.
 
     Attributes:
-        content: What it wrote into the file; empty while it is being written.
-        heartbeat_s: Age of the last heartbeat [s].
+        content: Content of the lock file; empty while the holder is writing the file.
+        heartbeat_s: Time since the last heartbeat [s].
     """
 
     content: Mapping[str, Any]
@@ -66,28 +70,32 @@ class Holder:
 
     @property
     def id(self) -> str:
-        """Unique per acquisition, also within one process."""
+        """Identifier of the lock acquisition, unique also within one process."""
         return str(self.content.get("id", ""))
 
     @property
     def pid(self) -> int:
-        """Of the process, 0 when it does not say."""
+        """Process id of the holder; 0 if the lock file does not contain the id."""
         pid = self.content.get("pid")
         return pid if isinstance(pid, int) else 0
 
     @property
     def process(self) -> str:
-        """For example `pid 4711`, and on which host if it is another one."""
+        """Process as text, for example `pid 4711`, with the host name if the host differs."""
         host = self.content.get("host")
         where = f" on {plain(host)}" if host and host != platform.node() else ""
         return f"pid {self.pid or 'unknown'}{where}"
 
     def __str__(self) -> str:
-        """For example `pid 4711 (hil run spec.yaml, since 10:42, run runs/…/0042-dwell)`."""
+        """Return a description of the process with command, start time and run.
+
+        The description has, for example, the form `pid 4711 (hil run spec.yaml, since 10:42, run
+        runs/…/0042-dwell)`.
+        """
         return self.told()
 
     def told(self, zone: tzinfo | None = None) -> str:
-        """The same in a time zone; by default this computer's."""
+        """Return the text of `__str__` in a time zone; by default the zone of this computer."""
         run, since = self.content.get("run"), since_words(self.content, zone)
         facts = (self.content.get("command"), since, f"run {run}" if run else "")
         inside = ", ".join(plain(fact) for fact in facts if fact)
@@ -95,11 +103,11 @@ class Holder:
 
 
 def since_words(content: Mapping[str, Any], zone: tzinfo | None = None) -> str:
-    """Return `since 10:42`, with the day when it is another one; empty when unknown.
+    """Return `since 10:42`, with the date if the time is not today; empty if the time is unknown.
 
     Args:
-        content: Of a lock file.
-        zone: By default this computer's.
+        content: Content of a lock file, which includes the start time.
+        zone: Time zone of the text; by default the time zone of this computer.
     """
     try:
         since = datetime.fromisoformat(str(content["since"])).astimezone(zone)
@@ -110,16 +118,20 @@ def since_words(content: Mapping[str, Any], zone: tzinfo | None = None) -> str:
 
 
 def plain(text: object, most: int = 200) -> str:
-    """Return a text that is safe on a terminal and not too long, whoever wrote it."""
-    told = "".join(c if c.isprintable() else "?" for c in str(text)[: most + 1])
-    return told if len(told) <= most else told[: most - 1] + "…"
+    """Return a text that is safe on a terminal and has at most `most` characters."""
+    safe = "".join(c if c.isprintable() else "?" for c in str(text)[: most + 1])
+    return safe if len(safe) <= most else safe[: most - 1] + "…"
 
 
 _descriptors: set[int] = set()
 
 
 def _close_in_child() -> None:
-    """A child made by fork without exec shares the lock, and would keep it beyond our death."""
+    """Close the file descriptors of the locks in a forked child.
+
+    A child process made by fork without exec shares the lock, and would hold the lock after the end
+    of its parent.
+    """
     for descriptor in _descriptors:
         with contextlib.suppress(OSError):
             os.close(descriptor)
@@ -130,15 +142,16 @@ os.register_at_fork(after_in_child=_close_in_child)
 
 
 class LockFile:
-    """A lock file that this process holds; made by `hold`.
+    """Lock file that this process holds; created by `hold`.
 
     Args:
-        path: Where it is.
-        descriptor: Open for writing, and locked; closed by `release`.
-        content: JSON document to write into it.
+        path: Path of the lock file that is held.
+        descriptor: File descriptor of the lock file, locked and open for writing; closed by
+            `release`.
+        content: JSON document that is written into the lock file.
 
     Raises:
-        OSError: The content cannot be written.
+        OSError: The lock file cannot be written.
     """
 
     def __init__(self, path: Path, descriptor: int, content: Mapping[str, Any]) -> None:
@@ -152,17 +165,24 @@ class LockFile:
         self._heartbeat.start()
 
     def update(self, **more: Any) -> None:
-        """Add to the content. Raises `OSError`."""
+        """Add entries to the content of the lock file.
+
+        Raises:
+            OSError: The lock file cannot be written.
+        """
         self.content |= more
         self._write()
 
     def release(self) -> None:
-        """Remove the file and let it go. Idempotent; a forked child leaves its parent's alone."""
+        """Remove the lock file and release the lock; a second call has no effect.
+
+        A forked child process does not release the lock of its parent.
+        """
         if self._released.is_set() or self._owner != os.getpid():
             return
         self._released.set()
         self._heartbeat.join(2 * HEARTBEAT_S)
-        # Removed while still locked: a process that opened it before sees that after locking it.
+        # Removed while locked: a process that opened it earlier detects this after locking it.
         try:
             self.path.unlink()
         except OSError:
@@ -196,15 +216,15 @@ class LockFile:
 def hold(
     path: Path, about: Mapping[str, Any] | None = None, *, shared: bool = False
 ) -> LockFile | Holder:
-    """Take a lock file, or return who has it; does not wait.
+    """Acquire a lock file, or return its present holder; does not wait.
 
     Args:
-        path: Made when missing; its folder must exist.
-        about: What it shall say besides the process that holds it.
-        shared: Let other users take it over when this process has died.
+        path: Path of the lock file, which is created if missing; its folder must exist.
+        about: Additional content of the lock file besides the description of this process.
+        shared: Whether other users may acquire the lock file after the end of this process.
 
     Raises:
-        OSError: The file cannot be made or written.
+        OSError: The lock file cannot be created or written.
     """
     content = _this_process() | dict(about or {})
     patience = time.monotonic() + _LOOKED_AT_S
@@ -212,7 +232,7 @@ def hold(
         descriptor = _open_or_make(path, shared)
         try:
             locked = _lock(descriptor, exclusive=True)
-            # Its holder removed it after it was opened here: the next one has another inode.
+            # If the holder removed the file after it was opened here, a new file has a new inode.
             removed = locked is not False and not _is_at(path, descriptor)
             holder = None if removed else _holder(descriptor, locked)
             if not removed and holder is None:
@@ -241,7 +261,7 @@ def _this_process() -> dict[str, Any]:
 
 
 def user_name() -> str:
-    """Return the user of this process, as far as the system knows one."""
+    """Return the name of this process's user; `unknown` if the system has no name for it."""
     try:
         return getpass.getuser()
     except (KeyError, OSError, ImportError):
@@ -251,7 +271,8 @@ def user_name() -> str:
 def _open_or_make(path: Path, shared: bool) -> int:
     mode = 0o666 if shared else 0o644
     while True:
-        # Made apart from opening: Linux refuses O_CREAT on others' files in a shared folder.
+        # Creating and opening are separate, because Linux refuses O_CREAT for files of other
+        # users in a shared folder.
         with contextlib.suppress(FileNotFoundError):
             return os.open(path, os.O_RDWR | _OPEN)
         try:
@@ -259,7 +280,7 @@ def _open_or_make(path: Path, shared: bool) -> int:
         except FileExistsError:
             continue
         if shared:
-            os.fchmod(descriptor, mode)  # whatever the umask says
+            os.fchmod(descriptor, mode)  # independent of the umask
         return descriptor
 
 
@@ -273,7 +294,7 @@ def _is_at(path: Path, descriptor: int) -> bool:
 
 
 def holder_of(path: Path) -> Holder | None:
-    """Return who holds a file at this moment; never waits, never makes the file."""
+    """Return the present holder of a lock file; never waits and never creates the file."""
     try:
         descriptor = os.open(path, os.O_RDONLY | _OPEN)
     except OSError:
@@ -281,7 +302,7 @@ def holder_of(path: Path) -> Holder | None:
     try:
         locked = _lock(descriptor, exclusive=False)
         if locked:
-            fcntl.flock(descriptor, fcntl.LOCK_UN)  # at once: a taker should not have to wait
+            fcntl.flock(descriptor, fcntl.LOCK_UN)  # at once, so that no acquiring process waits
         return _holder(descriptor, locked)
     except OSError:
         return None
@@ -290,7 +311,7 @@ def holder_of(path: Path) -> Holder | None:
 
 
 def _lock(descriptor: int, *, exclusive: bool) -> bool | None:
-    """Return whether the lock was got; None where there are no locks."""
+    """Return whether the kernel lock was acquired; None if the file system has no locks."""
     try:
         fcntl.flock(descriptor, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -303,15 +324,20 @@ def _lock(descriptor: int, *, exclusive: bool) -> bool | None:
 
 
 def _holder(descriptor: int, locked: bool | None) -> Holder | None:
-    """Return who else holds an open file, given whether we could lock it."""
+    """Return the other process that holds an open lock file; None if no other process holds it.
+
+    Args:
+        descriptor: Open file.
+        locked: Result of `_lock` for this open file.
+    """
     content = _content(descriptor)
     since = time.time() - os.fstat(descriptor).st_mtime
     age = max(0.0, since)
     if locked is False:
         return Holder(content, age)
-    # Our kernel has seen every process of this host end; of others only the heartbeat tells.
+    # The kernel detects the end of processes on this host; for other hosts, the heartbeat decides.
     ours = locked and content.get("host") == platform.node()
-    # A beat from the future is of a clock that was wrong, and would count until it comes true.
+    # A heartbeat in the future comes from a wrong clock, and would count as alive for too long.
     return None if ours or not content or abs(since) > FRESH_S else Holder(content, age)
 
 
@@ -332,19 +358,19 @@ def hold_folder(
     busy: Callable[[Holder], DataError],
     about: Mapping[str, Any] | None = None,
     *,
-    hint: str = "see whether the folder is there, may be written to and its disk has room",
+    hint: str = "check that the folder exists and is writable, and that its disk has free space",
 ) -> Iterator[None]:
-    """Hold a folder while inside; the kernel lets it go when this process dies.
+    """Hold the lock of a folder within the context; the kernel releases it if this process dies.
 
     Args:
-        folder: It must exist.
-        busy: Makes the error to raise when another process (or this one) holds it.
-        about: What the lock file shall say besides the process that holds it.
-        hint: What to do where the folder cannot be locked.
+        folder: Existing folder.
+        busy: Function that creates the error to raise if a process already holds the folder.
+        about: Additional content of the lock file besides the description of this process.
+        hint: Hint of the error that is raised if the folder cannot be locked.
 
     Raises:
-        DataError: From `busy`.
-        RecordingError: The lock cannot be written.
+        DataError: A process already holds the folder; the function `busy` creates this error.
+        RecordingError: The lock file cannot be written.
     """
     try:
         held = hold(folder / LOCK, about)
@@ -358,25 +384,25 @@ def hold_folder(
 
 
 def hold_run(run: Path) -> contextlib.AbstractContextManager[None]:
-    """Hold a run directory while inside; it is live as long as it is held.
+    """Hold the lock of a run directory within the context; the run counts as live meanwhile.
 
     Raises:
-        DataError: Another process (or this one) holds it.
-        RecordingError: The lock cannot be written.
+        DataError: A different process (or this process) already holds the run.
+        RecordingError: The lock file cannot be written.
     """
     return hold_folder(
         run,
         lambda holder: DataError(
-            f"{run} is live: it belongs to {holder}", hint=f"follow it with: hil watch {run}"
+            f"{run} is active: it belongs to {holder}", hint=f"follow it with: hil watch {run}"
         ),
     )
 
 
 def run_holder(run: Path) -> Holder | None:
-    """Return the process that holds a run, None when it is not live."""
+    """Return the process that holds a run; None if the run is not live."""
     return holder_of(run / LOCK)
 
 
 def is_live(run: Path) -> bool:
-    """Return whether a process holds a run; never waits, never makes a file."""
+    """Return whether a process holds a run; never waits and never creates a file."""
     return run_holder(run) is not None

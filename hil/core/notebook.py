@@ -1,7 +1,8 @@
-"""How results show themselves in a notebook: one card of HTML, in light and in dark.
+"""HTML cards that show results in a notebook, with light and dark colours.
 
-Every text is escaped here. The colours are the report's (a test compares them with its style
-sheet); they are repeated because what shows itself, such as a dataset, may not know the reports.
+This module escapes all texts of a card for HTML. The colours of the cards are those of the reports
+(a test compares them with the style sheet). The colour values are duplicated, because objects with
+a card, such as a dataset, do not depend on the reports.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ Tone = Literal["pass", "fail", "warn"]
 Row = Sequence[object]
 
 MARKS: dict[Tone, str] = {"pass": "✓", "fail": "✗", "warn": "!"}
-"""A badge is never told by its colour alone."""
+"""Symbol of a badge by tone, because a badge must not be recognisable by its colour alone."""
 
 LIGHT = {
     "ink": "#1b1f24", "muted": "#57606a", "page": "#ffffff", "raised": "#f5f7f9",
@@ -42,17 +43,18 @@ def card(
     picture: str = "",
     notes: Iterable[object] = (),
 ) -> str:
-    """One result as HTML.
+    """Return a card for one result as HTML.
 
     Args:
-        kind: What it is, such as `Plan`.
-        title: Which one.
-        facts: Name → value, in order; empty values are left out.
-        badge: A word and what it means.
-        table: Its head, and its rows.
-        most: Rows that are shown of it.
-        picture: An SVG, shown as an image so that its styles stay its own.
-        notes: What else to know, a sentence each.
+        kind: Kind of result that is shown, such as `Plan`.
+        title: Name of the result that is shown.
+        facts: Values that the card lists, by name and in this order; empty values are left out.
+        badge: Text and tone of a badge; None for no badge.
+        table: Header and rows of a table; None for no table.
+        most: Maximum number of table rows that the card shows.
+        picture: Picture as SVG text, embedded as an image so that its styles do not affect the
+            page.
+        notes: Additional notes, each a separate sentence.
     """
     parts = [f"<p class='hil-title'><span>{_text(kind)}</span> <b>{_text(title)}</b>"]
     if badge:
@@ -73,7 +75,7 @@ def card(
 
 
 def number(value: float) -> str:
-    """Three digits, or a dash for what is not known."""
+    """Return a number as text with three digits; a dash for NaN."""
     return "–" if value != value else f"{value:.3g}"
 
 
@@ -101,12 +103,12 @@ def _colours(colours: Mapping[str, str]) -> str:
 
 def _style() -> str:
     dark = "{" + _colours(DARK) + "}"
-    told = "[data-jp-theme-light='false'] .hil-card,.vscode-dark .hil-card"
+    darkened = "[data-jp-theme-light='false'] .hil-card,.vscode-dark .hil-card"
     return (
         f".hil-card{{{_colours(LIGHT)}}}"
         "@media(prefers-color-scheme:dark){"
         f"body:not([data-jp-theme-light='true']):not(.vscode-light) .hil-card{dark}}}"
-        f"{told}{dark}" + _LAYOUT
+        f"{darkened}{dark}" + _LAYOUT
     )
 
 

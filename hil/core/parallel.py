@@ -1,10 +1,11 @@
-"""Parallel work: independent tasks on any `concurrent.futures.Executor` (decision record 0006).
+"""Parallel execution of independent tasks on `concurrent.futures` executors (decision record 0006).
 
-`processes` are workers of this computer, `cluster` those of a Dask scheduler (extra `fleet`), and
-`spread` computes tasks on either, longest first, and again where a worker of a cluster died. A dead
-process breaks its whole pool: `spread_over_processes` starts another one. Results do not depend on
-the place: workers and the caller alike compute with one thread of BLAS and torch
-(`one_thread`), as sums in another order differ in their last bits.
+The function `processes` starts worker processes on this computer, and `cluster` connects to the
+workers of a Dask scheduler (extra `fleet`). The function `spread` computes tasks on either kind of
+executor, longest task first, and repeats tasks of a cluster worker that died. A process that dies
+breaks its whole pool of processes, so `spread_over_processes` starts a new pool. The results do not
+depend on the computer that computes them: workers and caller use one thread for BLAS and torch
+(`one_thread`), because sums in a different order differ in their last bits.
 """
 
 from __future__ import annotations
@@ -42,31 +43,33 @@ BLAS_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def cores() -> int:
-    """Cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 IMPORTED_FIRST = ("scipy.signal", "scipy.optimize", "pinocchio", "threadpoolctl")
-"""What fits import that takes long."""
+"""Names of modules that fits need and that take long to import."""
 
 
 def process_context(*modules: str) -> Any:
-    """Return the context of `multiprocessing` in which worker processes are started.
+    """Return the `multiprocessing` context in which worker processes are started.
 
-    They are forked from a server process that has imported modules once for all of them, and in
-    which nothing has run: a fork of a process in which BLAS or torch ran can hang. SIGINT is
-    blocked in them until they unblock it, and their environment is that of the first call. Where
-    the system has no such server they are spawned.
+    Workers are forked from a server process that has imported the modules a single time for all
+    workers and has not computed anything. In contrast, a process that is forked from a process that
+    has used BLAS or torch can hang. In a worker, SIGINT is blocked until the worker unblocks it,
+    and the environment variables are those of the first call. If the operating system does not
+    support a fork server, workers are spawned.
 
     Args:
-        modules: What the server imports beside `IMPORTED_FIRST`, if it is not running yet.
+        modules: Names of modules that the server imports in addition to `IMPORTED_FIRST`, if the
+            server is not running yet.
     """
     if not HAS_FORKSERVER:
         return multiprocessing.get_context("spawn")
     multiprocessing.set_forkserver_preload([*IMPORTED_FIRST, *modules])
-    resource_tracker.ensure_running()  # whose start unblocks SIGINT
+    resource_tracker.ensure_running()  # before blocking SIGINT: starting the tracker unblocks it
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         with _blas_variables():
@@ -77,10 +80,12 @@ def process_context(*modules: str) -> Any:
 
 
 def processes(workers: int | None = None) -> Executor:
-    """Worker processes, one thread of BLAS and torch each; see `process_context`.
+    """Return an executor with worker processes that use one thread each for BLAS and torch.
+
+    The function `process_context` describes how the worker processes are started.
 
     Args:
-        workers: How many; by default one per core.
+        workers: Number of worker processes; by default one per core.
     """
     return ProcessPoolExecutor(
         max_workers=workers or cores(),
@@ -91,9 +96,9 @@ def processes(workers: int | None = None) -> Executor:
 
 
 def be_worker() -> None:
-    """Begin a worker process: it receives Ctrl-C, and ends when its caller is killed.
+    """Set up a worker process: receive Ctrl-C, and end if the parent process is killed.
 
-    It would wait for tasks for ever.
+    Without this setup, an orphaned worker would wait for tasks forever.
     """
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
@@ -108,7 +113,7 @@ def be_worker() -> None:
 
 
 def _begin_worker(environment: Mapping[str, str]) -> None:
-    """Take over the environment; limit the loaded libraries to one thread, and later ones."""
+    """Apply the environment of the parent, and limit present and later libraries to one thread."""
     from threadpoolctl import threadpool_limits
 
     be_worker()
@@ -122,10 +127,10 @@ _CHOSEN: ContextVar[Executor | None] = ContextVar("executor", default=None)
 
 @contextlib.contextmanager
 def spread_over(executor: Executor | None) -> Iterator[None]:
-    """Whatever is spread over processes inside this block is spread over `executor` instead.
+    """Use `executor` within the context for all tasks that would otherwise use worker processes.
 
     Args:
-        executor: Stays open; what it runs must be able to import hil. None changes nothing.
+        executor: Executor whose workers can import hil; it is not closed; None has no effect.
     """
     token = _CHOSEN.set(executor or _CHOSEN.get())
     try:
@@ -135,15 +140,16 @@ def spread_over(executor: Executor | None) -> Iterator[None]:
 
 
 def chosen() -> Executor | None:
-    """The executor of the innermost `spread_over`; None for processes of this computer."""
+    """Return the executor of the innermost `spread_over`; None if processes are to be used."""
     return _CHOSEN.get()
 
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """BLAS and torch keep to one thread, so that results are the same bits wherever they are made.
+    """Limit BLAS and torch to one thread within the context, for bit-identical results everywhere.
 
-    A torch that is imported inside the block keeps to it, too: it asks the environment.
+    If torch is imported within the context, torch is limited, too, because it reads the environment
+    variables.
     """
     from threadpoolctl import threadpool_limits
 
@@ -153,7 +159,7 @@ def one_thread() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _blas_variables() -> Iterator[None]:
-    """The environment asks for one thread."""
+    """Set the environment variables that limit libraries to one thread, within the context."""
     before = {name: os.environ.get(name) for name in BLAS_VARIABLES}
     os.environ.update(dict.fromkeys(BLAS_VARIABLES, "1"))
     try:
@@ -179,13 +185,13 @@ def _one_torch_thread() -> Iterator[None]:
 
 
 TRIES = 3
-"""Attempts per task: a worker can die for reasons unrelated to its task."""
+"""Maximum number of attempts per task; a worker can die for reasons unrelated to its task."""
 
 LOOK_S = 5.0
-"""How often somebody looks whether there are workers left while nothing ends."""
+"""Time between two checks for remaining workers while no task ends [s]."""
 
 PATIENCE = 6
-"""Looks without any worker before it is given up: a worker that died may be started again."""
+"""Number of checks without any worker before giving up, because a dead worker may be restarted."""
 
 
 def spread(
@@ -194,17 +200,19 @@ def spread(
     executor: Executor,
     ended: Callable[[Mapping[int, Any]], None],
 ) -> list[Any]:
-    """Results of the runs, in their order.
+    """Return the results of independent functions, in the order of the functions.
 
     Args:
-        runs: Independent of each other, and able to travel to another process.
-        costs: How long each takes compared with the others; the longest begin first.
-        executor: Stays open; after an error or Ctrl-C what has not begun is cancelled.
-        ended: Told the results so far by the number of their run, in the order they came.
+        runs: Independent functions that can be sent to a different process.
+        costs: Relative durations of the functions; the longest begin first.
+        executor: Executor for the functions, which is not closed; after an error or Ctrl-C, pending
+            tasks are cancelled.
+        ended: Callback that receives all results so far, by index of the function, in order of
+            completion.
 
     Raises:
-        FitError: Workers died again and again, or none is left.
-        BrokenExecutor: The executor itself is no more.
+        FitError: Workers died repeatedly, or no worker is left.
+        BrokenExecutor: The executor cannot accept further tasks.
     """
     order = deque(sorted(range(len(runs)), key=lambda i: -costs[i]))
     going = _Going(runs, executor)
@@ -229,16 +237,17 @@ def spread_over_processes(
 ) -> list[Any]:
     """Return the results of tasks, in their order, computed by processes of this computer.
 
-    A process that dies ends the others of its pool, whatever they compute. What is missing then is
-    computed by a new pool for every few tasks, so that one that kills its process costs few others
-    theirs. The last attempt gives each task a process of its own, one after the other: it has all
-    the memory, and no other task can end it.
+    If a worker process dies, the other processes of its pool also end. The missing results are
+    computed by new pools, each for a few tasks, so that a task that kills its process affects few
+    other tasks. The last attempt computes each remaining task in a separate process, one task after
+    the other, so that each task has all the memory and no other task can end its process.
 
     Args:
-        tasks: Independent of each other, and picklable.
-        workers: Number of processes.
-        ended: Called with the results so far by the number of their task.
-        lost: Returns the result of a task whose process has died in every attempt, by its number.
+        tasks: Independent functions that can be pickled.
+        workers: Number of worker processes.
+        ended: Callback that receives all results so far, by index of the task.
+        lost: Function that returns a replacement result for the index of a task whose process died
+            in every attempt.
     """
     results: dict[int, Any] = {}
 
@@ -269,7 +278,7 @@ def spread_over_processes(
 
 
 class _Going:
-    """What is being computed, and what has been."""
+    """Running and completed tasks during one call of `spread`."""
 
     def __init__(self, runs: Sequence[Callable[[], Any]], executor: Executor) -> None:
         self._runs, self._executor = runs, executor
@@ -283,15 +292,18 @@ class _Going:
         self.futures[self._executor.submit(_run, self._runs[i])] = i
 
     def take(self) -> list[int]:
-        """Wait for the next results; what has to be computed again."""
+        """Wait for the next results; return the indices of tasks to repeat."""
         ended, _ = wait(self.futures, LOOK_S, FIRST_COMPLETED)
         self._deserted = 0 if ended else self._look()
-        # A set has no order: of those that ended together the one that began first is told first.
+        # A set is unordered: futures that ended together are handled in the order of submission.
         begun = [future for future in self.futures if future in ended]
         return [i for i in map(self._lost, begun) if i is not None]
 
     def _lost(self, future: Future[Any]) -> int | None:
-        """Keep a result; which task it is when its worker has gone and it is to begin again."""
+        """Store the result of a task; return the index of the task only if it must be repeated.
+
+        A task must be repeated if the worker that computed it was lost.
+        """
         i = self.futures.pop(future)
         try:
             self.results[i] = future.result()
@@ -300,26 +312,26 @@ class _Going:
                 raise
             if self._tries[i] >= TRIES:
                 raise FitError(
-                    f"{TRIES} workers died one after another of the same task: {error}",
-                    hint="they may be out of memory: give each worker fewer threads or more of it",
+                    f"{TRIES} workers in succession died while computing the same task: {error}",
+                    hint="if the workers run out of memory, give each fewer threads or more memory",
                 ) from error
             return i
         return None
 
     def _look(self) -> int:
-        """So many looks there has been no worker."""
+        """Return the number of consecutive checks that detected no worker."""
         if getattr(self._executor, "threads", 1):
             return 0
         if self._deserted + 1 >= PATIENCE:
             raise FitError(
-                f"no worker has been left for {PATIENCE * LOOK_S:.0f} s",
+                f"no worker has been available for {PATIENCE * LOOK_S:.0f} s",
                 hint="start workers and repeat the command",
             )
         return self._deserted + 1
 
 
 def _run(run: Callable[[], Any]) -> Any:
-    # Ctrl-C reaches the whole group: workers end without a word, the parent says what there is.
+    # Ctrl-C reaches the whole process group: workers end silently, and the parent reports it.
     on_main_thread = threading.current_thread() is threading.main_thread()
     if on_main_thread and multiprocessing.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -328,37 +340,38 @@ def _run(run: Callable[[], Any]) -> Any:
 
 
 ADDRESS = re.compile(r"(tcp|tls|ucx|ws|wss)://[^\s:/]+:\d{1,5}")
-"""Of a scheduler, as `dask scheduler` prints it."""
+"""Pattern of the address of a Dask scheduler, as printed by `dask scheduler`."""
 
 CONNECT_S = 10.0
 ANSWER_S = 10.0
 
 
 def checked_address(name: str, value: Any) -> str | None:
-    """The address of a scheduler, or None where there is none.
+    """Return the address of a Dask scheduler; None if no address was passed.
 
     Args:
-        name: Of the parameter, for the error.
-        value: What was given.
+        name: Name of the parameter that contains the address, for the error message.
+        value: Value of the parameter that contains the address.
 
     Raises:
-        SpecError: It is no address.
+        SpecError: The value is not the address of a scheduler.
     """
     if value is None or (isinstance(value, str) and ADDRESS.fullmatch(value)):
         return value
     raise SpecError(
-        f"{name} is {value!r}, which is no address of a Dask scheduler",
+        f"{name} is {value!r}, which is not the address of a Dask scheduler",
         hint=f"for example: {name}=tcp://192.168.0.10:8786 (`dask scheduler` prints it)",
     )
 
 
 @contextlib.contextmanager
 def cluster(address: str | None) -> Iterator[Executor | None]:
-    """The cluster at an address for as long as the block lasts; None without an address.
+    """Connect to the cluster at an address within the context; yield None without an address.
 
     Raises:
-        PluginError: Dask is not installed.
-        FitError: No scheduler answers, it has no workers, or theirs is another hil.
+        PluginError: The library Dask is not installed.
+        FitError: No scheduler responds, the scheduler has no workers, or the workers have a
+            different version of hil.
     """
     if address is None:
         yield None
@@ -368,13 +381,14 @@ def cluster(address: str | None) -> Iterator[Executor | None]:
 
 
 class DaskCluster(Executor):
-    """Workers of a Dask scheduler.
+    """Executor that computes tasks on the workers of a Dask scheduler.
 
-    What a task needs is sent to the worker that computes it, and never more than two tasks for
-    each thread of a worker: the recordings of a sweep are larger than a scheduler's memory.
+    The data of a task are sent directly to the worker that computes the task, for at most two tasks
+    per thread of a worker at a time, because the recordings of a sweep exceed the memory of a
+    scheduler.
 
     Args:
-        address: Of the scheduler, such as `tcp://192.168.0.10:8786`.
+        address: Address of the Dask scheduler, such as `tcp://192.168.0.10:8786`.
     """
 
     def __init__(self, address: str) -> None:
@@ -388,7 +402,7 @@ class DaskCluster(Executor):
         except (OSError, ValueError) as error:
             raise FitError(
                 f"no Dask scheduler answers at {address}: {error}",
-                hint="start one (`dask scheduler`, then `dask worker ADDRESS`), or leave dask out",
+                hint="start one (`dask scheduler`, then `dask worker ADDRESS`), or omit `dask`",
             ) from error
         try:
             self._require_workers()
@@ -399,25 +413,25 @@ class DaskCluster(Executor):
 
     @property
     def threads(self) -> int:
-        """How many tasks the workers compute at once; 0 when none is left."""
+        """Number of tasks that the workers can compute at the same time; 0 if no worker is left."""
         try:
             return sum(self._client.nthreads().values())
-        except Exception:  # whatever a scheduler that has gone makes of the question
+        except Exception:  # a lost scheduler may cause any error
             return 0
 
     @property
     def ahead(self) -> int:
-        """How many tasks may be under way, so that no worker waits for the next one."""
+        """Maximum number of submitted tasks, chosen so that no worker waits for its next task."""
         return 2 * max(self.threads, 1)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """As of any executor; the arguments do not pass through the scheduler."""
+        """Submit a task; the arguments of the task do not pass through the scheduler."""
         sent = self._scattered(list(args)) if args else []
         future: Future[Any] = self._executor.submit(fn, *sent, **kwargs)
         return future
 
     def _scattered(self, args: list[Any]) -> Any:
-        """Send arguments to a worker, to another one if that dies meanwhile."""
+        """Send arguments to a worker; send them to a different worker if the worker dies."""
         for attempt in range(1, TRIES + 1):
             try:
                 return self._client.scatter(args, hash=False)
@@ -425,40 +439,44 @@ class DaskCluster(Executor):
                 if attempt == TRIES:
                     raise FitError(
                         f"the workers of {self.address} have died {TRIES} times: {error}",
-                        hint="see their logs, start workers and repeat the command",
+                        hint="check their logs, start workers and repeat the command",
                     ) from error
                 self._client.wait_for_workers(1, timeout=CONNECT_S)
         raise AssertionError
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the connection; the cluster goes on. What is not computed yet is given up."""
-        with contextlib.suppress(Exception):  # the scheduler may have gone before
+        """End the connection and drop unfinished tasks; the cluster keeps running."""
+        with contextlib.suppress(Exception):  # the scheduler may be lost already
             self._executor.shutdown(wait=wait and not cancel_futures)
         self._client.close(timeout=ANSWER_S)
 
     def _require_workers(self) -> None:
-        """A worker with another hil would compute something else, or fail after hours."""
-        told = self._client.run(importlib.metadata.version, "hil", on_error="return")
-        if not told:
+        """Raise if the cluster has no workers, or if a worker has a different version of hil.
+
+        A worker with a different version of hil could compute different results, or fail after
+        hours.
+        """
+        versions = self._client.run(importlib.metadata.version, "hil", on_error="return")
+        if not versions:
             raise FitError(
                 f"the Dask scheduler at {self.address} has no workers",
                 hint=f"dask worker {self.address}",
             )
         ours = installed()
-        for worker, version in told.items():
+        for worker, version in versions.items():
             if version != ours:
                 there = f"hil {version}" if isinstance(version, str) else "no hil"
                 raise FitError(
-                    f"the Dask worker {worker} has {there}, and here is {ours}",
-                    hint="install the same hil on every worker",
+                    f"the Dask worker {worker} has {there}, but this computer has hil {ours}",
+                    hint="install the same version of hil on every worker",
                 )
 
 
 def installed() -> str:
-    """Version of the hil that is installed here."""
+    """Return the version of the installed package hil."""
     return importlib.metadata.version("hil")
 
 
 def is_lost(error: BaseException) -> bool:
-    """Whether an error says that a worker has gone, and nothing about what it computed."""
+    """Return whether an error means that a worker was lost, instead of an error of its task."""
     return type(error).__module__.partition(".")[0] == "distributed"

@@ -1,18 +1,19 @@
-"""Plug-ins by entry point: names cost nothing, code is imported only when it is asked for.
+"""Plug-ins by entry point: names are listed without imports, and code is imported only on demand.
 
-A group such as `hil.estimators` maps names people write in a YAML file to `module:attribute`.
-What is broken is an error when it is named, and a line in `describe_all` otherwise.
+An entry-point group such as `hil.estimators` maps names in a YAML file to `module:attribute`. A
+plug-in that cannot be imported raises an error if it is loaded by name; `describe_all` only lists
+the error.
 
-Optional libraries come as extras of this distribution. `not_installed` is the error of a library
-that is missing; `require_installed` looks for all that some fits and studies need before a motion
-or a fit begins.
+Optional libraries are installed by extras of this distribution. The function `not_installed`
+returns the error for a missing library; `require_installed` checks all libraries that fits and
+studies need, before a motion or a fit begins.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points, packages_distributions
@@ -31,10 +32,25 @@ GROUPS = {
     "hil.checks": "preflight check",
     "hil.interlocks": "interlock",
 }
-"""What each entry-point group holds, in words."""
+"""Kind of plug-in by entry-point group, for messages."""
+
+MEMBERS = {
+    "hil.drivers": (
+        "identity", "capabilities", "limits", "connect", "set_payload", "prepare", "start", "read",
+        "stop", "close",
+    ),
+    "hil.excitations": ("program",),
+    "hil.estimators": (
+        "fit", "predict", "stream", "fitted_arrays", "fitted_facts", "restore", "parameter_names",
+        "get_params",
+    ),
+    "hil.studies": ("run", "parameter_names"),
+    "hil.interlocks": ("check", "clear"),
+}  # fmt: skip
+"""Members that the class of a plug-in must have, by entry-point group."""
 
 NAMED_BY = {"hil.estimators": "estimator"}
-"""Attribute of the classes of a group that is the name in model files: the entry point's."""
+"""Class attribute that must be equal to the entry-point name, as used in model files, by group."""
 
 EXTRA_OF_MODULE = {
     "mujoco": "mock",
@@ -54,19 +70,21 @@ EXTRA_OF_MODULE = {
     "sse_starlette": "web",
     "cvxpy": "identify",
 }
-"""The extra of this distribution that brings an optional top-level module."""
+"""Name of the extra of this distribution that installs an optional library, by top-level module."""
 
 
 @dataclass(frozen=True, slots=True)
 class PluginInfo:
-    """One registered plug-in, as `hil plugins` and `hil doctor` show it.
+    """Registered plug-in, as shown by `hil plugins` and `hil doctor`.
 
     Attributes:
-        group, name: Where it is registered and under which name.
-        target: `module:attribute` it stands for.
-        distribution: Distribution and version that registered it, e.g. `hil 0.1.0`.
-        error: Why it cannot be used; empty when it loads (or was not tried).
-        hint: How to mend that.
+        group, name: Entry-point group of the plug-in, and name of the plug-in.
+        target: Import path `module:attribute` of the plug-in.
+        distribution: Name and version of the distribution that registers the plug-in, for example
+            `hil 0.1.0`.
+        error: Reason why the plug-in cannot be used; empty if the plug-in was loaded, or if loading
+            was not tried.
+        hint: Advice on how to repair the plug-in.
     """
 
     group: str
@@ -78,12 +96,12 @@ class PluginInfo:
 
 
 def names(group: str) -> tuple[str, ...]:
-    """Names registered in a group, sorted; nothing is imported."""
+    """Return the sorted names registered in a group, without importing the plug-ins."""
     return tuple(sorted({point.name for point in _registered(group)}))
 
 
 def _registered(group: str) -> tuple[EntryPoint, ...]:
-    """Return the entry points of a group, in order of their names."""
+    """Return the entry points of a group, sorted by name."""
     return _read(entry_points, group, tuple(map(_changed_at, sys.path)))
 
 
@@ -91,7 +109,10 @@ def _registered(group: str) -> tuple[EntryPoint, ...]:
 def _read(
     source: Callable[..., Iterable[EntryPoint]], group: str, path: tuple[tuple[str, int], ...]
 ) -> tuple[EntryPoint, ...]:
-    """Read a group again only when `path`, the folders with packages, changes: it takes 20 ms."""
+    """Return the entry points of a group; cached until `path`, the package folders, changes.
+
+    Without the cache, reading the entry points takes 20 ms.
+    """
     return tuple(sorted(source(group=group), key=lambda point: (point.name, point.value)))
 
 
@@ -103,21 +124,21 @@ def _changed_at(folder: str) -> tuple[str, int]:
 
 
 def load(group: str, name: str) -> Any:
-    """Import the plug-in called `name`.
+    """Import the plug-in called `name`, and return the imported object.
 
     Raises:
-        PluginError: No plug-in has that name, two distributions claim it, its import fails (the
-            cause is in the message and in `__cause__`), or its class has another name.
+        PluginError: No plug-in has this name, two distributions register it, its import fails (the
+            cause is in the message and in `__cause__`), or its class has a different name.
     """
     return load_point(find(group, name))
 
 
 def load_point(point: EntryPoint) -> Any:
-    """Import what an entry point names.
+    """Import the object that an entry point names.
 
     Raises:
-        PluginError: Its import fails (the cause is in the message and in `__cause__`), or it is a
-            class that has another name than the entry point.
+        PluginError: The import fails (the cause is in the message and in `__cause__`), or the
+            object is a class with a different name than the entry point.
     """
     try:
         loaded = point.load()
@@ -129,12 +150,28 @@ def load_point(point: EntryPoint) -> Any:
             raise not_installed(f"the {kind} {point.name!r}", [missing], extra) from error
         message = f"the {kind} {point.name!r} ({point.value}) does not load: {_cause(error)}"
         raise PluginError(message, hint=_remedy(error, point)) from error
+    _require_members(point, loaded)
     _require_name(point, loaded)
     return loaded
 
 
+def _require_members(point: EntryPoint, loaded: Any) -> None:
+    """Raise if the class of a plug-in lacks members that the interface of its group requires."""
+    missing = [name for name in MEMBERS.get(point.group, ()) if not hasattr(loaded, name)]
+    if missing and isinstance(loaded, type):
+        kind = _kind(point.group)
+        raise PluginError(
+            f"the {kind} {point.name!r} ({point.value}) lacks {', '.join(missing)}",
+            hint=f"add these members to {loaded.__name__}; `hil new` creates a complete template",
+        )
+
+
 def _require_name(point: EntryPoint, loaded: Any) -> None:
-    """Refuse a class whose results nobody could load again: they name the class by itself."""
+    """Raise if the name of a plug-in class differs from the name of its entry point.
+
+    Results store the class name of their plug-in, so results of a class with a different name could
+    not be loaded again.
+    """
     attribute = NAMED_BY.get(point.group)
     if attribute is None or not isinstance(loaded, type):
         return
@@ -161,12 +198,12 @@ def _remedy(error: BaseException, point: EntryPoint) -> str:
             return f'pip install "hil[{extra}]"'
         if missing == point.module.partition(".")[0]:
             return f"{_distribution(point)} is installed incompletely: install it again"
-        return f"the module {missing!r} is missing: pip install the package that brings it"
-    return f"mend or uninstall {_distribution(point)}; `hil doctor` shows all plug-ins"
+        return f"the module {missing!r} is missing: install the package that contains it"
+    return f"repair or uninstall {_distribution(point)}; `hil doctor` shows all plug-ins"
 
 
 def _missing_modules(error: BaseException) -> Iterator[str]:
-    """Top-level modules that could not be found, along the chain of causes."""
+    """Yield the top-level modules that were not found, along the chain of causes of an error."""
     step: BaseException | None = error
     while step is not None:
         if isinstance(step, ModuleNotFoundError) and step.name:
@@ -179,28 +216,30 @@ def _distribution(point: EntryPoint) -> str:
 
 
 def find(group: str, name: str) -> EntryPoint:
-    """The entry point called `name`, without importing it.
+    """Return the entry point called `name`, without importing the plug-in.
 
     Raises:
-        PluginError: No plug-in has that name, or two distributions claim it.
+        PluginError: No plug-in has this name, or two distributions register it.
     """
     points = [point for point in _registered(group) if point.name == name]
     if not points:
         known = names(group)
-        hint = did_you_mean(name, known) if known else "is hil installed, or just on the path?"
+        hint = (
+            did_you_mean(name, known) if known else "is hil installed, or only on the Python path?"
+        )
         if closest(name, known) is None:
-            hint += "; one of your own is there once its package is installed again"
+            hint += "; after adding a plug-in to your package, install the package again"
         raise PluginError(f"there is no {_kind(group)} called {name!r}", hint=hint)
     if len({point.value for point in points}) > 1:
         claims = " and ".join(f"{_distribution(p)} ({p.value})" for p in points)
         raise PluginError(
-            f"the {_kind(group)} {name!r} is claimed by {claims}", hint="uninstall one of them"
+            f"the {_kind(group)} {name!r} is registered by {claims}", hint="uninstall one of them"
         )
     return points[0]
 
 
 def absent_modules(extra: str) -> tuple[str, ...]:
-    """Top-level modules that an extra of this distribution brings and that are not installed."""
+    """Return the top-level modules of an extra that are not installed."""
     brought = (module for module, of in EXTRA_OF_MODULE.items() if of == extra)
     return tuple(module for module in brought if find_spec(module) is None)
 
@@ -208,35 +247,36 @@ def absent_modules(extra: str) -> tuple[str, ...]:
 def not_installed(
     who: str, modules: Iterable[str], *extras: str, purpose: str = "", otherwise: str = ""
 ) -> PluginError:
-    """Return the error of an extra that is missing.
+    """Return the error to raise for a missing extra.
 
     Args:
-        who: Needs the modules.
-        modules: Those that are missing; one at least.
-        extras: Of this distribution, that bring them.
-        purpose: What they are for, such as `to train`.
-        otherwise: What else can be done.
+        who: Name of the feature that needs the modules.
+        modules: Names of the missing modules, at least one.
+        extras: Names of the extras of this distribution that install the modules.
+        purpose: Purpose for which the modules are needed, such as `to train`.
+        otherwise: Alternative to installing the extra, for the hint.
     """
     hint = f'pip install "hil[{",".join(extras)}]"' + (f", or {otherwise}" if otherwise else "")
     return PluginError(lacking(who, modules) + (f", {purpose}" if purpose else ""), hint=hint)
 
 
 def lacking(who: str, modules: Iterable[str]) -> str:
-    """`the dashboard needs starlette and uvicorn, which are not installed`."""
+    """Return, for example, `the dashboard needs starlette and uvicorn, which are not installed`."""
     *most, last = modules
-    told = f"{', '.join(most)} and {last}" if most else last
-    return f"{who} needs {told}, which {'are' if most else 'is'} not installed"
+    listed = f"{', '.join(most)} and {last}" if most else last
+    return f"{who} needs {listed}, which {'are' if most else 'is'} not installed"
 
 
 Named = tuple[str, Any]
-"""Words for a fit or study, and its estimator or study."""
+"""Label of a fit or study for messages, and its estimator or study."""
 
 
 def require_installed(made: Iterable[Named]) -> None:
-    """Raise if a fit or study could be begun here, but not be finished.
+    """Raise if a fit or study needs extras that are not installed.
 
     Raises:
-        PluginError: Extras are missing; all are in the message, and in one command in the hint.
+        PluginError: Extras are missing; the message lists all missing extras, and the hint is one
+            command that installs them.
     """
     absent = dict(absent_extras(made))
     if absent:
@@ -245,20 +285,25 @@ def require_installed(made: Iterable[Named]) -> None:
 
 
 def absent_extras(made: Iterable[Named]) -> Iterator[tuple[str, str]]:
-    """Yield what lacks a library, in words, and the extra that brings it."""
+    """Yield a message for each missing library, and the name of the extra that installs it."""
     for name, one in made:
-        # Plug-ins need not inherit from ours.
-        extras: dict[str, str] = dict(getattr(one, "extras", dict)())
+        # A plug-in need not inherit from our classes.
+        extras: object = getattr(one, "extras", dict)()
+        if not isinstance(extras, Mapping):
+            raise PluginError(
+                f"{origin_of(one)}: extras() returns {extras!r}, not a mapping",
+                hint="return {} if no optional library is needed",
+            )
         for extra, purpose in extras.items():
             if absent := absent_modules(extra):
                 yield f"{lacking(name, absent)}, {purpose}", extra
 
 
 def describe_all(*, try_loading: bool = True) -> tuple[PluginInfo, ...]:
-    """Every registered plug-in with what is wrong with it; never raises.
+    """Return every registered plug-in, with its error if it has one; never raises.
 
     Args:
-        try_loading: Import each plug-in to see whether it works, which takes seconds and memory.
+        try_loading: Whether to import each plug-in as a test, which takes seconds and memory.
     """
     return tuple(
         _describe(group, point, try_loading) for group in GROUPS for point in _registered(group)
@@ -277,7 +322,7 @@ def _describe(group: str, point: EntryPoint, try_loading: bool) -> PluginInfo:
 
 
 def origin_of(thing: object) -> str:
-    """Class and distribution that an object of a plug-in comes from, for messages."""
+    """Return class name and distribution of an object from a plug-in, for messages."""
     kind = type(thing)
     name = f"{kind.__module__}.{kind.__qualname__}"
     owners = packages_distributions().get(kind.__module__.partition(".")[0], ())

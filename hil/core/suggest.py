@@ -1,8 +1,9 @@
-"""'Did you mean …?': the known word, or the file, that a slip of typing made another of.
+"""Suggestions for mistyped names ('Did you mean …?'): the word or file that was probably intended.
 
-`closest` judges words: it believes few slips, and none that makes the opposite or another number,
-as a wrong suggestion costs more than none. `neighbour_of` looks in the folder where a file was
-looked for, and falls back on naming the folder that is missing or the few files of its kind.
+`closest` compares words. The function `closest` accepts only few typing errors, and no change to an
+opposite or to a different number, because a wrong suggestion is worse than none. The function
+`neighbour_of` searches the folder of a missing file for similar names; without a similar name, it
+names the missing folder, or the few files of the same kind.
 """
 
 from __future__ import annotations
@@ -16,15 +17,20 @@ from pathlib import Path
 from hil.core.text import shown
 
 LETTERS_A_SLIP = 4
-"""A slip is believed for so many letters: one in `csv`, none that makes `spec` of `speed`."""
+"""Number of letters per accepted typing error: one error is accepted in `csv`, but `spec` does
+not suggest `speed`."""
 
 MOST_SLIPS = 3
 
 LEAST_SHARE = 0.5
-"""Of a name's letters: `velocity` is meant to be `max_velocity_deg_s`, `s` is not."""
+"""Minimum share of the letters of a name: `velocity` suggests `max_velocity_deg_s`, `s` does
+not."""
 
 STEM = 2 / 3
-"""Of the longer word's letters, where both begin so: `validation` is meant to be `validate`."""
+"""Minimum length of the common beginning of two words, as a share of the longer word.
+
+For example, the word `validation` suggests `validate`.
+"""
 
 OPPOSITES = {
     frozenset(pair.split())
@@ -35,18 +41,19 @@ OPPOSITES = {
 }  # fmt: skip
 
 NOT = ("un", "non", "no", "dis")
-"""What makes the opposite of a word, before it or as a word of its own."""
+"""Prefixes and separate words that negate a word."""
 
 LONGEST_WORD = 64
-"""Longer words are no typing slips, and comparing them would take noticeable time."""
+"""Maximum length of a word in a comparison; longer words would take noticeable time."""
 
 
 def closest(word: str, options: Iterable[str]) -> str | None:
-    """The option that `word` is a slip of, or a part of, else None.
+    """Return the option that a mistyped word probably means; None if there is none.
 
-    Ignored are case and `-` against `_`. A slip is a letter too many, missing or another, or two
-    neighbours swapped. Whoever gives whole words of an option means that one. Another number and
-    the opposite are no slips: `ur5-003` is another arm than `ur5-001`.
+    The comparison of words ignores case and the difference between `-` and `_`. A typing error is
+    an additional, missing or different letter, or two swapped neighbours. A typed text of whole
+    words from an option also matches this option. A typed text with a different number or with an
+    opposite never matches: `ur5-003` is a different arm than `ur5-001`.
     """
     if not 0 < len(word) <= LONGEST_WORD:
         return None
@@ -62,11 +69,11 @@ def closest(word: str, options: Iterable[str]) -> str | None:
 
 
 def did_you_mean(word: str, options: Iterable[str]) -> str:
-    """A clause for the end of a message: `did you mean 'x'?`, or what there is to choose from."""
+    """Return the end of an error message: `did you mean 'x'?`, or the list of options."""
     known = sorted(options)
     if match := closest(word, known):
         return f"did you mean {match!r}?"
-    return f"there is {', '.join(known)}" if known else "there is none"
+    return f"available: {', '.join(known)}" if known else "none is available"
 
 
 def _fold(word: str) -> str:
@@ -74,7 +81,7 @@ def _fold(word: str) -> str:
 
 
 def _rank(typed: str, known: str) -> int | None:
-    """How far an option is from what was typed, 0 being the same; None where it is another."""
+    """Return the distance of an option to the typed word; 0 if equal, None if not similar."""
     if typed == known:
         return 0
     if _is_opposite(typed, known) or _has_another_number(typed, known):
@@ -107,13 +114,16 @@ def _has_another_number(typed: str, known: str) -> bool:
 
 
 def _numbers_differ(typed: str, known: str) -> bool:
-    """Whether both have as many numbers, and others."""
+    """Return whether two texts contain the same count of numbers, but different numbers."""
     one, other = ([n.lstrip("0") for n in _NUMBER.findall(text)] for text in (typed, known))
     return len(one) == len(other) and one != other
 
 
 def _is_part(typed: str, known: str) -> bool:
-    """Whether one has all of the other, its words in any order, and not much more."""
+    """Return whether one text contains all words of the other text, and not much more.
+
+    The comparison ignores the order of the words.
+    """
     few, many = sorted((_words(typed), _words(known)), key=lambda words: len("".join(words)))
     letters, of = "".join(few), "".join(many)
     if len(letters) < 2 or len(letters) < LEAST_SHARE * len(of):
@@ -122,12 +132,12 @@ def _is_part(typed: str, known: str) -> bool:
 
 
 def _is_word(word: str, other: str) -> bool:
-    """Within a name, where short words have other neighbours to be told by, these must be right."""
+    """Return whether two words in a name match; short words must match exactly."""
     return word == other or (len(word) > LETTERS_A_SLIP and _slips(word, other) is not None)
 
 
 def _slips(typed: str, known: str) -> int | None:
-    """How many slips apart two words are, None where that is too many for their length."""
+    """Return the number of typing errors between two words; None if too many for their length."""
     if _numbers_differ(typed, known):
         return None
     length = max(len(typed), len(known))
@@ -139,7 +149,7 @@ def _slips(typed: str, known: str) -> int | None:
 
 
 def _distance(a: str, b: str) -> int:
-    """Edits between two words, a swap of neighbours being one (optimal string alignment)."""
+    """Return the edit distance of two words, with a swap as one edit (optimal string alignment)."""
     before: list[int] = []
     last = list(range(len(b) + 1))
     for i, x in enumerate(a, start=1):
@@ -160,21 +170,22 @@ def _has_stem(typed: str, known: str) -> bool:
 
 
 MOST_NAMED = 8
-"""Files of a folder that a hint names."""
+"""Maximum number of files of a folder that a hint names."""
 
-NOTHING_NEAR = "is the path right, seen from this folder?"
+NOTHING_NEAR = "is the path correct, relative to this folder?"
 _MOST_LETTERS = 300
 
 
 def neighbour_of(
     file: Path, endings: Iterable[str], fits: Callable[[Path], bool] = lambda _: True
 ) -> str:
-    """What is there instead, as a hint: the folder missing, a near name, or the few of its kind.
+    """Return a hint for a missing file: the missing folder, a similar name, or similar files.
 
     Args:
-        file: What is not there.
-        endings: Of what could be meant, such as `.urdf`.
-        fits: Tells further whether something could be meant; `OSError` where nobody can know.
+        file: Missing file.
+        endings: Suffixes of the files that may be meant, such as `.urdf`.
+        fits: Function that returns whether a file may be meant; raises `OSError` if this cannot be
+            checked.
     """
     folder = file.parent
     wanted = tuple(endings)
@@ -183,22 +194,27 @@ def neighbour_of(
             return f"there is no folder {shown(str(folder), _MOST_LETTERS)}"
         beside = [path for path in folder.iterdir() if path.suffix.casefold() in wanted]
         names = sorted(path.name for path in beside if fits(path))
-    except (OSError, ValueError):  # ValueError: a name that no file system takes
+    except (OSError, ValueError):  # ValueError: invalid file name
         names = []
     if match := closest(file.name, names):
         return f"did you mean {folder / match}?"
     if 0 < len(names) <= MOST_NAMED:
-        return f"there is {', '.join(names)}"
+        return f"available: {', '.join(names)}"
     return NOTHING_NEAR
 
 
 def no_file(file: Path) -> str:
-    """`there is no file poses.csv in /cell`: by its whole path, or with the folder it starts at."""
-    told = f"there is no file {shown(str(file), _MOST_LETTERS)}"
-    return told if file.is_absolute() else f"{told} in {shown(str(Path.cwd()), _MOST_LETTERS)}"
+    """Return, for example, the message `there is no file poses.csv in /cell`.
+
+    If the path is absolute, the message does not contain the folder separately.
+    """
+    message = f"there is no file {shown(str(file), _MOST_LETTERS)}"
+    if file.is_absolute():
+        return message
+    return f"{message} in {shown(str(Path.cwd()), _MOST_LETTERS)}"
 
 
 def no_file_but(file: Path, endings: Iterable[str]) -> str:
-    """`no_file` with what is there instead, where that can be told, for a list of problems."""
+    """Return the message of `no_file`, with the hint of `neighbour_of` if it is useful."""
     instead = neighbour_of(file, endings)
     return no_file(file) if instead == NOTHING_NEAR else f"{no_file(file)}; {instead}"

@@ -1,18 +1,19 @@
-r"""Text that leaves the process: names of files are bytes of any kind, documents are UTF-8.
+r"""Conversion of text at the borders of the process: file names are bytes, documents are UTF-8.
 
-Python holds a byte of a name that is not UTF-8 as a lone surrogate, so that the file can be opened
-by that name. No page, terminal or document takes a lone surrogate: what leaves goes through here.
+In Python, a byte of a file name that is not UTF-8 is represented as a lone surrogate, so that
+Python can open the file by this name. Pages, terminals and documents do not accept lone surrogates,
+so this module converts all output.
 
-===============  ==================================  ==========================
-leaving as       function                            a byte 0xff of a name
-===============  ==================================  ==========================
-text, pages      `utf8_text`                         ``\xff``
-message          `shown`                             ``?``
-JSON             `json_text`                         ``\udcff``, read back as is
-name in a form   `name_text`, back by `name_read`    ``\xff``
-address          `quoted`                            ``%FF``
-command to copy  `shell_word`                        ``$'\xff'``
-===============  ==================================  ==========================
+===============  =====================================  =============================
+output           function                               byte 0xff of a file name
+===============  =====================================  =============================
+text, pages      `utf8_text`                            ``\xff``
+message          `shown`                                ``?``
+JSON             `json_text`                            ``\udcff`` (reversible)
+name in a form   `name_text`, inverse `name_read`       ``\xff`` (reversible)
+URL              `quoted`                               ``%FF``
+shell command    `shell_word`                           ``$'\xff'``
+===============  =====================================  =============================
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _ESCAPES = re.compile(r"\\\\|(?:\\x[0-9a-f]{2})+")
 
 
 def shown(value: object, most: int = 60) -> str:
-    """Return a value for a message: on one line, printable, and of at most so many characters."""
+    """Return a value as text for a message: on one line, printable, at most `most` characters."""
     text = value if isinstance(value, str) else repr(value)
     text = "".join(c if c.isprintable() else "?" for c in text[: most + 1])
     return text if len(text) <= most else text[: most - 1] + "…"
@@ -41,20 +42,21 @@ def utf8_text(text: str) -> str:
 
 
 def json_text(value: Any, **options: Any) -> str:
-    """Return JSON that UTF-8 can hold and that reads back as the same value.
+    """Return JSON text that UTF-8 can encode and that is read back as the same value.
 
     Args:
-        value: What `json.dumps` takes.
-        **options: Of `json.dumps`.
+        value: Value that `json.dumps` accepts.
+        **options: Options of `json.dumps`.
     """
     text = json.dumps(value, ensure_ascii=False, **options)
     return text.encode("utf-8", "backslashreplace").decode()
 
 
 def name_text(name: str | os.PathLike[str]) -> str:
-    r"""Return a name on one line, printable: every other byte as ``\xff``, a backslash doubled.
+    r"""Return a name on one line with printable characters only.
 
-    No two names have the same text, see `name_read`.
+    Bytes that are not UTF-8, and other unprintable characters, are replaced by ``\xff`` etc.;
+    backslashes are doubled. Different names result in different texts, see `name_read`.
     """
     return "".join(
         c if c.isprintable() and c != "\\" else "\\\\" if c == "\\" else _escaped(c)
@@ -63,17 +65,17 @@ def name_text(name: str | os.PathLike[str]) -> str:
 
 
 def name_read(text: str) -> str:
-    """Return the name of a text of `name_text`; a text without escapes is the name itself."""
+    """Return the name that belongs to a text of `name_text`; a text without escapes is the name."""
     return _ESCAPES.sub(_unescaped, text)
 
 
 def quoted(name: str | os.PathLike[str]) -> str:
-    """Return a name as part of an address, with its slashes, byte for byte."""
+    """Return a name as part of a URL, byte for byte and with unchanged slashes."""
     return quote(os.fsencode(name))
 
 
 def shell_word(name: str | os.PathLike[str]) -> str:
-    """Return a name as a word for a shell (bash, zsh), printable whatever its bytes are."""
+    """Return a name as a word for a shell (bash, zsh), printable for any bytes of the name."""
     text = os.fspath(name)
     if text.isprintable():
         return shlex.quote(text)
@@ -84,7 +86,7 @@ def _escaped(match: re.Match[str] | str) -> str:
     c = match if isinstance(match, str) else match[0]
     try:
         return "".join(f"\\x{byte:02x}" for byte in os.fsencode(c))
-    except UnicodeEncodeError:  # a surrogate that stands for no byte: out of a document
+    except UnicodeEncodeError:  # a surrogate from a document, which represents no byte
         return f"\\u{ord(c):04x}"
 
 

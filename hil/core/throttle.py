@@ -1,4 +1,4 @@
-"""Throttles: messages about what happens thousands of times, at a bounded rate."""
+"""Rate limits for messages about events that occur frequently."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 
 class Throttle:
-    """Says when the next message is due.
+    """Rate limit that determines when the next message is due.
 
     Args:
-        every_s: Shortest time between two messages [s].
-        at_once: Whether the first message is due now, or after that time.
+        every_s: Minimum time between two messages [s].
+        at_once: Whether the first message is due immediately; otherwise it is due after `every_s`.
     """
 
     def __init__(self, every_s: float, *, at_once: bool = True) -> None:
@@ -21,7 +21,10 @@ class Throttle:
         self._next = time.monotonic() + (0.0 if at_once else every_s)
 
     def due(self, *, anyway: bool = False) -> bool:
-        """Return whether a message is due, or `anyway`; if so, the next is due `every_s` later."""
+        """Return whether a message is due; if so, the next message is due after `every_s`.
+
+        If `anyway` is true, a message is always due.
+        """
         now = time.monotonic()
         if not anyway and now < self._next:
             return False
@@ -30,12 +33,12 @@ class Throttle:
 
 
 class OncePerMinute(logging.Filter):
-    """Pass one log record per kind and minute, with the number of suppressed ones.
+    """Log filter that passes one record per kind and minute, with the number of suppressed records.
 
-    Records with the same logger, template and exception type are one kind.
+    Log records with the same logger, template and exception type are of the same kind.
 
     Args:
-        every_s: Interval between two records of one kind [s]; a minute by default.
+        every_s: Minimum time between two records of the same kind [s]; one minute by default.
     """
 
     def __init__(self, every_s: float = 60.0) -> None:
@@ -44,7 +47,7 @@ class OncePerMinute(logging.Filter):
         self._kinds: dict[tuple[str, str, str], _Kind] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether the record is written."""
+        """Return whether the log record is written."""
         kind = (record.name, str(record.msg), _origin(record))
         known = self._kinds.setdefault(kind, _Kind(Throttle(self._every_s)))
         if not known.throttle.due():
@@ -57,7 +60,7 @@ class OncePerMinute(logging.Filter):
 
 
 def _origin(record: logging.LogRecord) -> str:
-    """Return type and place of the exception of a record; empty without one."""
+    """Return type and position of a log record's exception; empty without an exception."""
     if not record.exc_info or record.exc_info[0] is None:
         return ""
     places = traceback.extract_tb(record.exc_info[2])[-1:]

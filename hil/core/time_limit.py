@@ -1,4 +1,4 @@
-"""Calls with a time limit, so that a driver that hangs cannot keep a run from its end."""
+"""Function calls with a time limit, so that a hanging driver cannot prevent the end of a run."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _T = TypeVar("_T")
 
 LOOK_EVERY_S = 0.05
 ENDS_WITHIN_S = 1.0
-"""Time that an interrupted call has to end [s]."""
+"""Maximum time that an interrupted call may take to end [s]."""
 
 
 class _Call(threading.Thread, Generic[_T]):
-    """One call on a thread of its own, which stays behind if the call never returns."""
+    """Function call on a separate thread, which continues in the background if the call hangs."""
 
     def __init__(self, call: Callable[[], _T], what: str) -> None:
         super().__init__(name=f"hil-{what}", daemon=True)
@@ -27,7 +27,7 @@ class _Call(threading.Thread, Generic[_T]):
     def run(self) -> None:
         try:
             self.outcome.append(self._call())
-        except BaseException as error:  # for the caller, who waits
+        except BaseException as error:  # raised again in the waiting caller
             self.error = error
 
 
@@ -37,24 +37,24 @@ def supervised(
     what: str,
     interrupted: Callable[[], object],
 ) -> _T:
-    """Return what `call` returns, unless it is abandoned meanwhile.
+    """Return the result of the function `call`, unless the caller abandons it.
 
     Args:
-        call: Runs on a thread of its own.
-        abandon: Set by another thread to stop waiting.
-        what: Name of the call for messages.
-        interrupted: Called at a `KeyboardInterrupt`, to make `call` end; the interrupt is then
-            raised again.
+        call: Function that a separate thread calls.
+        abandon: Event that a different thread sets in order to end the waiting.
+        what: Description of the call, for messages.
+        interrupted: Function that is called at a `KeyboardInterrupt` and that makes `call` end; the
+            interrupt is then raised again.
 
     Raises:
-        RobotTimeout: It was abandoned; its thread may still run.
-        BaseException: What `call` raises.
+        RobotTimeout: The call was abandoned; its thread is possibly still running.
+        BaseException: The function `call` raised this error.
     """
     thread = _Call(call, what)
     thread.start()
     try:
         while thread.is_alive() and not abandon.is_set():
-            thread.join(LOOK_EVERY_S)  # in pieces: signals arrive in between
+            thread.join(LOOK_EVERY_S)  # short waits, so that signals are handled in between
     except KeyboardInterrupt:
         interrupted()
         thread.join(ENDS_WITHIN_S)
@@ -62,8 +62,8 @@ def supervised(
     if thread.is_alive():
         raise RobotTimeout(
             f"{what} hangs: the driver did not return from a call for seconds",
-            hint="see to the robot itself; a driver in a process of its own (own_process: true in "
-            "the station) cannot take the run with it",
+            hint="check the robot; a driver in a separate process (own_process: true in the "
+            "station) cannot block the run",
         )
     if thread.error is not None:
         raise thread.error
@@ -71,24 +71,24 @@ def supervised(
 
 
 def bounded(call: Callable[[], _T], seconds: float, what: str) -> _T:
-    """Return what `call` returns, unless it takes too long.
+    """Return the result of the function `call`, unless it exceeds its time limit.
 
     Args:
-        call: May hang; it then stays behind on its thread.
-        seconds: Wall time allowed [s].
-        what: Name of the call for messages, e.g. `stopping the robot`.
+        call: Function that possibly hangs; its thread then continues in the background.
+        seconds: Maximum wall time of the call [s].
+        what: Name of the call for messages, for example `stopping the robot`.
 
     Raises:
-        RobotTimeout: It has not returned in time.
-        BaseException: What `call` raises.
+        RobotTimeout: The function did not return within the time limit.
+        BaseException: The function `call` raised this error.
     """
     thread = _Call(call, what)
     thread.start()
     thread.join(seconds)
     if thread.is_alive():
         raise RobotTimeout(
-            f"{what} has not come back within {seconds:g} s",
-            hint="the driver hangs: see to the robot itself, by its emergency stop if need be",
+            f"{what} has not returned within {seconds:g} s",
+            hint="the driver hangs: check the robot, and use its emergency stop if necessary",
         )
     if thread.error is not None:
         raise thread.error

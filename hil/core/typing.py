@@ -1,4 +1,4 @@
-"""Array types used in signatures; shapes are given in docstrings as (N, n) etc."""
+"""Array types used in signatures; docstrings state the shapes as (N, n) etc."""
 
 from __future__ import annotations
 
@@ -11,4 +11,4 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 StructArray: TypeAlias = NDArray[Any]
-"""A structured array: one row per sample, named fields."""
+"""Structured array: one row per sample, with named fields."""

@@ -1,4 +1,4 @@
-"""Units at the end of keys (`dwell_s`, `limit_rad`), to explain keys and to correct wrong ones."""
+"""Unit suffixes of keys (`dwell_s`, `limit_rad`), for explaining and correcting keys."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from typing import NamedTuple
 
 
 class Unit(NamedTuple):
-    """A unit: `value * factor + offset` is the value in the SI unit of its dimension."""
+    """Unit of measurement.
+
+    A value is converted into the reference unit of its dimension by `value * factor + offset`.
+    """
 
     symbol: str
     dimension: str
@@ -55,7 +58,7 @@ UNITS = {
     "mb": Unit("MB", "information", 1e6),
     "gb": Unit("GB", "information", 1e9),
 }
-"""Unit by key suffix; the dimension tells which ones can stand for each other."""
+"""Unit by key suffix; units of the same dimension can be converted into each other."""
 
 _BY_LENGTH = sorted(UNITS, key=len, reverse=True)
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].{0,15}?)\s*")
@@ -77,9 +80,10 @@ def symbol_of(key: str) -> str:
 
 
 def same_quantity(key: str, known: Iterable[str]) -> str | None:
-    """Return the known key of the same quantity in another unit, if there is one.
+    """Return the known key for the same quantity in a different unit; None if there is no such key.
 
-    `mass_g`, `mass` and `Mass_KG` all lead to `mass_kg`; a key without a unit leads nowhere.
+    For example, `mass_g`, `mass` and `Mass_KG` give `mass_kg`. Known keys without a unit are
+    ignored in this search.
     """
     stem = split_unit(key.casefold())[0]
     for option in known:
@@ -90,7 +94,7 @@ def same_quantity(key: str, known: Iterable[str]) -> str | None:
 
 
 def converted(value: object, from_suffix: str, to_suffix: str) -> str | None:
-    """Return a number in another unit of its dimension, as text; None if there is no such unit."""
+    """Return a number in a different unit of the same dimension, as text; None if impossible."""
     source, target = UNITS.get(from_suffix), UNITS.get(to_suffix)
     if source is None or target is None or source.dimension != target.dimension:
         return None
@@ -100,7 +104,7 @@ def converted(value: object, from_suffix: str, to_suffix: str) -> str | None:
 
 
 def parse_quantity(text: str) -> tuple[float, str] | None:
-    """Return number and unit suffix of a text: `95 ms` → (95.0, `ms`); None for any other text."""
+    """Return number and unit suffix of a text: `95 ms` → (95.0, `ms`); None for other texts."""
     match = _QUANTITY.fullmatch(text[:64])
     if match is None:
         return None

@@ -1,26 +1,30 @@
-"""YAML as plain data: where everything stood in a file, what is wrong with it, and writing it.
+"""YAML as plain data: reading with positions and error messages, and writing.
 
-No other module reads or writes YAML. Two readers stand on PyYAML's events, nodes and marks:
+All other modules read and write YAML through this module. Two readers of this module use the
+events, nodes and marks of PyYAML:
 
 ===========================  ==================================  =================================
-reader                       for                                 values and mistakes
+reader                       use                                 result
 ===========================  ==================================  =================================
-`read_source`, `parse`,      specs, stations, maps, overrides:   YAML 1.2; every mistake at its
-`scalar`                     what people write for this tool     line and column, in a `Source`
-`look_into`, `with_value`    what others wrote, or what is only  YAML 1.1 as PyYAML has it, in its
-                             looked at or passed on              words; compiled where it can be
+`read_source`, `parse`,      files that users write for `hil`:   YAML 1.2; errors with line and
+`scalar`                     specs, stations, maps, overrides    column, in a `Source`
+`look_into`, `with_value`    files of other programs, and files  YAML 1.1 and errors of PyYAML;
+                             that are only searched or copied    compiled loader if available
 ===========================  ==================================  =================================
 
-PyYAML reads YAML 1.1, where `1e-3` is text, `on` is true, `12:30` is 750 and the last of two equal
-keys wins without a word. The first reader takes PyYAML's grammar, the scalars of the YAML 1.2 core
-schema (YAML 1.2.2, §10.3.2), and refuses what a spec has no use for: keys given twice, tags, merge
-keys and several documents.
+PyYAML reads YAML 1.1, in which `1e-3` is text, `on` is true, `12:30` is 750 and, of two equal keys,
+the last one wins silently. `read_source`, `parse` and `scalar` use the grammar of PyYAML with the
+scalars of the YAML 1.2 core schema (YAML 1.2.2, §10.3.2). The functions `read_source`, `parse` and
+`scalar` refuse YAML features that specs do not need: duplicate keys, tags, merge keys and several
+documents.
 
-Both readers have a limit on depth and size (`_Extent`). It counts events with aliases followed,
-before anything is built of them, because aliases make much of little ("billion laughs"): 600 bytes
-stand for 10⁹ values. A refusal costs no more than reading that far.
+The two readers limit the depth and the size of a document (`_Extent`). The size limit counts events
+with all aliases expanded, before any data are built, because aliases can expand a small file
+enormously ("billion laughs"): 600 bytes can represent 10⁹ values. The refusal of a document takes
+no longer than reading the document up to the limit.
 
-What is written (`yaml_text`, `as_scalar`, `quoted_scalar`) means the same in every version of YAML.
+YAML written by this module (`yaml_text`, `as_scalar`, `quoted_scalar`) has the same meaning in
+every YAML version.
 """
 
 from __future__ import annotations
@@ -39,23 +43,25 @@ from hil.core.suggest import neighbour_of
 from hil.core.text import shown
 
 MOST_BYTES = 256 * 1024
-"""Larger files are no specs; poses belong into a CSV beside the spec."""
+"""Maximum size of a YAML file [bytes]; a large set of poses belongs into a CSV file beside the
+spec."""
 
 DEEPEST = 40
-"""Levels of nesting of what `parse` reads; a spec has seven."""
+"""Maximum nesting depth of a document for `parse`; a spec has a depth of seven."""
 
 DEEPEST_LOOK = 100
-"""Levels of nesting of what `look_into` reads: a compiled loader has no other end than a crash."""
+"""Maximum nesting depth of a document for `look_into`, whose compiled loader would crash at
+large depths."""
 
 MOST_PROBLEMS = 50
-"""Problems that are written out; the others are counted."""
+"""Maximum number of problems that a message lists; the remaining problems are only counted."""
 
 KeyPath: TypeAlias = tuple[str | int, ...]
 """Keys and list indices from the top of the file to a value."""
 
 
 class Mark(NamedTuple):
-    """A place in a file; line and column count from 1, and are 0 for what is on one line anyway."""
+    """Position in a file; line and column count from 1, and are 0 for a text of only one line."""
 
     file: str
     line: int
@@ -66,7 +72,7 @@ class Mark(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """One thing that is wrong: where, at which key, and what in plain words."""
+    """Problem in a file: position, key path and plain description."""
 
     mark: Mark
     path: KeyPath
@@ -79,14 +85,14 @@ class Problem(NamedTuple):
 
 @dataclass
 class Source:
-    """The content of one YAML file as plain data, with the place of every key and value.
+    """Content of one YAML file as plain data, with the position of every key and value.
 
     Attributes:
-        name: The file as the person named it; begins every message.
-        data: dicts, lists, strings, numbers, booleans and None.
-        keys: Where each key of a mapping stands.
-        values: Where each value begins.
-        problems: What was wrong with the YAML itself, although it could be parsed.
+        name: File name as passed by the user, with which every message begins.
+        data: Content of the file as dicts, lists, strings, numbers, booleans and None.
+        keys: Position of each key of a mapping, by path.
+        values: Position of the beginning of each value, by path.
+        problems: List of the problems in the YAML text that did not prevent parsing.
     """
 
     name: str
@@ -96,7 +102,7 @@ class Source:
     problems: list[Problem] = field(default_factory=list)
 
     def mark(self, path: KeyPath, *, key: bool = False) -> Mark:
-        """Return the place of a value (or of its key), or of the nearest thing around it."""
+        """Return the position of a value (or of its key), or of the nearest enclosing value."""
         if key and path in self.keys:
             return self.keys[path]
         while path not in self.values and path:
@@ -104,7 +110,7 @@ class Source:
         return self.values.get(path, Mark(self.name, 1, 1))
 
     def at(self, path: KeyPath) -> Any:
-        """Return the value at a path, None where there is nothing."""
+        """Return the value at a path; None if there is no value at this path."""
         value = self.data
         for step in path:
             try:
@@ -114,13 +120,14 @@ class Source:
         return value
 
     def add(self, path: KeyPath, message: str, *, key: bool = False) -> None:
-        """Note a problem with the value (or the key) at `path`."""
+        """Add a problem that concerns the value (or the key) at `path`."""
         self.problems.append(Problem(self.mark(path, key=key), path, message))
 
     def replaced(self, path: KeyPath, name: str) -> None:
-        """Note that the value at `path` was replaced by one from `name`, such as `--set 1`.
+        """Record that the value at `path` was replaced by a value from `name`, such as `--set 1`.
 
-        Nothing in the new value has a place of its own, nor have mappings that were made for it.
+        The parts of the new value have no positions, and mappings that were created for the new
+        value have no positions either.
         """
         for places in (self.keys, self.values):
             for below in [p for p in places if p[: len(path)] == path]:
@@ -130,12 +137,12 @@ class Source:
 
 
 def refuse(problems: list[Problem], hint: str = "", more: int = 0) -> SpecError:
-    """Return the error that lists problems in the order of the file.
+    """Return the error that lists problems in the order of their positions in the file.
 
     Args:
-        problems: In any order.
-        hint: Of the error.
-        more: So many problems were not even explained.
+        problems: List of problems, in any order.
+        hint: Hint of the returned error.
+        more: Number of additional problems that are not in the list.
     """
     ordered = sorted(set(problems), key=lambda p: (p.mark, dotted(p.path), p.message))
     lines = [str(problem) for problem in ordered[:MOST_PROBLEMS]]
@@ -145,19 +152,20 @@ def refuse(problems: list[Problem], hint: str = "", more: int = 0) -> SpecError:
 
 
 def dotted(path: KeyPath) -> str:
-    """Return a path as people write it: `loads.1.mass_kg`."""
+    """Return a path in dotted notation: `loads.1.mass_kg`."""
     return ".".join(shown(str(step)) for step in path)
 
 
 def read_source(path: str | FilePath, kind: str = "") -> Source:
-    """Read and parse one file.
+    """Read and parse a YAML file.
 
     Args:
-        path: The file.
-        kind: Key that such files begin with, so that only such are suggested for one not there.
+        path: YAML file.
+        kind: Key with which files of the expected kind begin; if the file is missing, only files
+            with this key are suggested.
 
     Raises:
-        SpecError: It is missing, unreadable, too large, not UTF-8 or not YAML.
+        SpecError: The file is missing, unreadable, too large, not UTF-8 or not YAML.
     """
     file = FilePath(path)
     try:
@@ -173,28 +181,28 @@ def read_source(path: str | FilePath, kind: str = "") -> Source:
         reason = getattr(error, "strerror", None) or str(error)
         raise SpecError(
             f"{shown(str(path), most=300)}: cannot be read: {reason}",
-            hint="see whether it exists and may be read",
+            hint="check that the file exists and is readable",
         ) from None
     return parse(raw, str(path))
 
 
 def _is(file: FilePath, kind: str) -> bool:
-    """Return whether a file has the key of its kind, as far as its beginning shows."""
+    """Return whether a file has the key of its kind in its first 20 000 bytes."""
     with file.open("rb") as stream:
         lines = stream.read(20_000).split(b"\n")
     return any(line.startswith(f"{kind}:".encode()) for line in lines)
 
 
 def parse(raw: bytes | str, name: str) -> Source:
-    """Parse YAML text; problems that leave the rest readable are collected in the result.
+    """Parse YAML text; problems that do not prevent parsing are collected in the result.
 
     Raises:
-        SpecError: The text is too large, not UTF-8, empty, or breaks YAML's grammar.
+        SpecError: The text is too large, not UTF-8, empty, or violates the grammar of YAML.
     """
     if len(raw) > MOST_BYTES:
         raise SpecError(
-            f"{name}: is larger than {MOST_BYTES // 1024} KiB, which no spec is",
-            hint="keep long lists of poses in a CSV file and name it under `excitation.file`",
+            f"{name}: is larger than {MOST_BYTES // 1024} KiB, the limit for such files",
+            hint="move long lists of poses to a CSV file and name it under `excitation.file`",
         )
     try:
         text = raw.decode("utf-8") if isinstance(raw, bytes) else raw
@@ -211,14 +219,14 @@ def parse(raw: bytes | str, name: str) -> Source:
 
 
 def scalar(text: str, name: str = "value") -> Any:
-    """Return a value typed on a command line: `3`, `1e-3`, `on` (text) or `[4, 20, 20]`.
+    """Return the value of a command-line argument: `3`, `1e-3`, `on` (text) or `[4, 20, 20]`.
 
     Args:
-        text: YAML; nothing is None.
-        name: Begins the message of an error.
+        text: YAML text of the value; an empty text gives None.
+        name: Beginning of the error message, such as the name of the option.
 
     Raises:
-        SpecError: It is not YAML.
+        SpecError: The text is not YAML.
     """
     if not text.strip():
         return None
@@ -229,10 +237,10 @@ def scalar(text: str, name: str = "value") -> Any:
 
 
 def parse_parameters(texts: Iterable[str]) -> dict[str, Any]:
-    """Return `name=value` texts as a dict; values are read as YAML scalars.
+    """Return texts of the form `name=value` as a dict; the values are read as YAML scalars.
 
     Raises:
-        SpecError: One is no such text, or its value is not YAML.
+        SpecError: A text does not have the form `name=value`, or its value is not YAML.
     """
     pairs = [text.partition("=") for text in texts]
     for name, equals, _ in pairs:
@@ -242,18 +250,19 @@ def parse_parameters(texts: Iterable[str]) -> dict[str, Any]:
 
 
 def is_number(text: str) -> bool:
-    """Return whether a text would be a number if it stood in YAML without quotes."""
+    """Return whether YAML would read a text without quotes as a number."""
     return re.fullmatch(_CORE_SCALARS["float"][0], text) is not None
 
 
 def look_into(text: str | bytes) -> Any:
-    """Return the data of a document that is only looked at, without places.
+    """Return the data of a YAML document, without the positions of the values.
 
-    PyYAML's compiled loader reads it where there is one: 13 ms for a station of a hundred robots,
-    not 60.
+    The compiled loader of PyYAML is used if it is installed: the compiled loader needs 13 ms
+    instead of 60 ms for a station with a hundred robots.
 
     Raises:
-        ValueError: It is not YAML, not UTF-8, nested too deeply, or blown up by aliases.
+        ValueError: The text is not YAML, not UTF-8, nested too deeply, or too large with its
+            aliases expanded.
     """
     with _one_kind_of_error():
         _require_bounded(text)
@@ -261,18 +270,18 @@ def look_into(text: str | bytes) -> Any:
 
 
 def with_value(text: str, key: str, value: str) -> str | None:
-    """Return a document with another value for a key at its top; all else stays as written.
+    """Return a document with a different value for a top-level key, otherwise unchanged.
 
     Args:
-        text: YAML.
-        key: Whose value is no list or mapping.
-        value: YAML, on one line.
+        text: YAML document.
+        key: Top-level key whose value is neither a list nor a mapping.
+        value: New value of the key as YAML text on one line.
 
     Returns:
-        None where there is no such key with such a value.
+        Changed document; None if the document has no such key with a scalar value.
 
     Raises:
-        ValueError: It is not YAML, nested too deeply, or blown up by aliases.
+        ValueError: The text is not YAML, nested too deeply, or too large with its aliases expanded.
     """
     with _one_kind_of_error():
         _require_bounded(text)
@@ -290,10 +299,11 @@ def yaml_text(data: Any, *, block: bool = False, width: int = 80) -> str:
     """Return plain data as a YAML document.
 
     Args:
-        data: dicts, lists, strings, numbers, booleans and None.
-        block: Every value on a line of its own, and quotes only where a version of YAML needs them.
-            Otherwise innermost lists and mappings take one line, and only words have no quotes.
-        width: Characters of a line.
+        data: Content of the document as dicts, lists, strings, numbers, booleans and None.
+        block: Whether every value is on a separate line, with quotes only if a YAML version needs
+            them. If `block` is false, innermost lists and mappings are on one line, and only words
+            are unquoted.
+        width: Maximum number of characters in a line of the document.
     """
     text: str = yaml.dump(
         data,
@@ -307,14 +317,14 @@ def yaml_text(data: Any, *, block: bool = False, width: int = 80) -> str:
 
 
 class _BlockDumper(yaml.SafeDumper):
-    """Quotes text that YAML 1.2 takes for something else, as PyYAML does for YAML 1.1.
+    """YAML dumper that quotes text that YAML 1.1 or YAML 1.2 would read as a different type.
 
-    Line breaks of Unicode, which PyYAML would write as they are, are escaped.
+    Unicode line breaks, which PyYAML would write unchanged, are escaped.
     """
 
 
 class _FlowDumper(yaml.SafeDumper):
-    """Quotes all text but words."""
+    """YAML dumper that quotes all text except plain words."""
 
 
 _WORDS = re.compile(r"[A-Za-z][A-Za-z_-]+[0-9]*")
@@ -337,7 +347,7 @@ _FlowDumper.add_representer(str, _flow_text)
 
 
 def as_scalar(text: str) -> str:
-    """Return a text as YAML on one line: without quotes where every reader takes it for text."""
+    """Return a text as YAML on one line, without quotes if every reader reads it as text."""
     try:
         line = {"k": text}
         if look_into(f"k: {text}") == line == parse(f"k: {text}", "").data:
@@ -354,14 +364,15 @@ def quoted_scalar(text: str) -> str:
 
 
 def _quick_loader() -> Any:
-    """Return the compiled loader where PyYAML was built with one."""
+    """Return the compiled loader of PyYAML; the Python loader if the compiled loader is missing."""
     return getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def _require_bounded(text: str | bytes) -> None:
-    """Raise if a document is too deep or too much to be built.
+    """Raise if a YAML document is nested too deeply or is too large.
 
-    A compiled loader builds without asking, so the events are read once more before.
+    The compiled loader does not limit depth and size, so the events of the document are read in
+    advance.
     """
     extent = _Extent(len(text), DEEPEST_LOOK)
     for event in yaml.parse(text, _quick_loader()):
@@ -370,34 +381,41 @@ def _require_bounded(text: str | bytes) -> None:
 
 @contextmanager
 def _one_kind_of_error() -> Iterator[None]:
-    """Turn whatever PyYAML raises into a ValueError: of `!!int ""` comes an IndexError."""
+    """Convert every error of PyYAML to a ValueError.
+
+    For example, PyYAML raises an IndexError for `!!int ""`.
+    """
     try:
         yield
     except Exception as error:
-        # PyYAML's own errors say where; others say little of what it tripped over.
+        # Errors of PyYAML contain their position; other errors are prefixed with their type.
         plain = type(error) is ValueError or hasattr(error, "problem")
         message = str(error) if plain else f"{type(error).__name__}: {error}"
-        raise ValueError(f"no YAML: {message}") from error
+        raise ValueError(f"not YAML: {message}") from error
 
 
 # Limits
 
 
 _MOST_FREE = 10_000
-"""Values that a document may hold however short it is."""
+"""Number of values that any YAML document may contain, regardless of its length."""
 
 _MOST_PER_CHARACTER = 2
-"""Values a character: written out, a value takes one at least; the rest is behind aliases."""
+"""Number of additional values that a YAML document may contain per character.
+
+Without aliases, each value needs at least one character; the remaining values are allowed for
+aliases.
+"""
 
 _MOST_VALUES = 2**19
-"""Values of any document."""
+"""Maximum number of values in any YAML document, with aliases expanded."""
 
 _MOST_CHARACTERS = 2**19
-"""Characters of values that aliases may add to those of the text."""
+"""Maximum number of characters that aliases may add to the characters of the text."""
 
 
 class _Open:
-    """A list or mapping that has not ended, and the counts before it began."""
+    """List or mapping whose end event is pending, with the counts before its start."""
 
     __slots__ = ("anchor", "characters", "levels", "values")
 
@@ -409,11 +427,11 @@ class _Open:
 
 
 class _Extent:
-    """Depth and size of a document, with its aliases followed, as far as its events were seen.
+    """Depth and size of a document with its aliases expanded, up to the present event.
 
     Args:
-        length: Characters of the text.
-        deepest: Most levels of nesting.
+        length: Number of characters of the YAML text.
+        deepest: Maximum nesting depth of the document.
     """
 
     def __init__(self, length: int, deepest: int) -> None:
@@ -423,14 +441,14 @@ class _Extent:
         self._values = 0
         self._characters = 0
         self._open: list[_Open] = []
-        # Levels, values and characters; None while the anchor's list or mapping has not ended.
+        # Levels, values and characters of each anchor; None while its list or mapping is open.
         self._anchors: dict[str | None, tuple[int, int, int] | None] = {}
 
     def see(self, event: yaml.Event) -> None:
-        """Count an event of the parser.
+        """Count an event of the parser, and check the limits of the document.
 
         Raises:
-            ValueError: The document is nested too deeply, or its aliases expand to too much.
+            ValueError: The document is nested too deeply, or its aliases expand to too many values.
         """
         if isinstance(event, yaml.ScalarEvent):
             length = len(event.value)
@@ -451,7 +469,7 @@ class _Extent:
                 self._anchors[ended.anchor] = (ended.levels, values, characters)
             self._reach(ended.levels)
         elif isinstance(event, yaml.AliasEvent):
-            # An anchor that is not defined is an error of the reader itself.
+            # The reader itself reports an undefined anchor.
             again = self._anchors.get(event.anchor, (0, 1, 0))
             if again is None:
                 raise ValueError("an alias contains itself")
@@ -463,16 +481,16 @@ class _Extent:
         if len(self._open) + levels > self._deepest:
             raise ValueError(f"more than {self._deepest} levels")
         if self._values > self._most_values or self._characters > self._most_characters:
-            raise ValueError("aliases expand to more values than a file of this size may hold")
+            raise ValueError("aliases expand to more values than a file of this size may contain")
         self._reach(levels)
 
     def _reach(self, levels: int) -> None:
-        """Note how deep something is that stands in the innermost open list or mapping."""
+        """Update the depth of the innermost open list or mapping."""
         if self._open and self._open[-1].levels <= levels:
             self._open[-1].levels = levels + 1
 
 
-# Grammar: from text to PyYAML's nodes, and what PyYAML says of mistakes in plain words
+# Grammar: from text to PyYAML nodes, with error messages of PyYAML in plain words
 
 
 _TAG = "tag:yaml.org,2002:"
@@ -487,11 +505,11 @@ _CORE_SCALARS = {
         tuple("-+.0123456789"),
     ),
 }
-"""Pattern and possible first characters of the plain scalars of YAML 1.2 that are not text."""
+"""Pattern and possible first characters of the YAML 1.2 plain scalars that are not text."""
 
 
 class _CoreLoader(yaml.SafeLoader):
-    """PyYAML's safe loader with the scalars of YAML 1.2 and a limit on depth and size."""
+    """Safe loader of PyYAML with the scalars of YAML 1.2 and limits on depth and size."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - PyYAML's own protocol
 
@@ -500,7 +518,10 @@ class _CoreLoader(yaml.SafeLoader):
         super().__init__(text)
 
     def get_event(self) -> yaml.Event:
-        """Return the next event; what is too deep or too much ends here, before it is built."""
+        """Return the next event; raise if the YAML document exceeds its limits.
+
+        The limits of a document are checked before any data are constructed.
+        """
         event: yaml.Event = super().get_event()  # type: ignore[no-untyped-call]
         try:
             self._extent.see(event)
@@ -515,7 +536,7 @@ for _name, (_pattern, _first) in _CORE_SCALARS.items():
 
 
 def _composed(text: str, name: str) -> yaml.Node | None:
-    """Return the document as PyYAML's nodes, None where the text holds nothing."""
+    """Return the YAML document as PyYAML nodes; None if the text is empty."""
     try:
         loader = _CoreLoader(text)
     except yaml.reader.ReaderError as error:
@@ -527,7 +548,7 @@ def _composed(text: str, name: str) -> yaml.Node | None:
     except yaml.MarkedYAMLError as error:
         place, message = _plain_words(error, text)
         raise refuse([Problem(_mark(place or loader.get_mark(), name), (), message)]) from None
-    # PyYAML lets Python's own errors through for escapes and directives out of range.
+    # PyYAML does not catch these errors of Python for escapes and directives out of range.
     except (ValueError, OverflowError):
         message = "the escape or the number here is out of range"
         raise refuse([Problem(_mark(loader.get_mark(), name), (), message)]) from None
@@ -535,20 +556,20 @@ def _composed(text: str, name: str) -> yaml.Node | None:
         loader.dispose()
 
 
-_COLON = "a ':' that does not fit here: quote text that holds ': '"
+_COLON = "unexpected ':': put text that contains ': ' in quotes"
 
 _AT_THE_START = (
-    ("could not find expected ':'", "this is neither a key with ':' nor a value of one"),
-    ("found unexpected end of stream", "a quote is opened here and never closed"),
-    ("found unexpected document separator", "a quote is opened here and never closed"),
+    ("could not find expected ':'", "this is neither a key with ':' nor the value of a key"),
+    ("found unexpected end of stream", "a quotation mark is opened here and never closed"),
+    ("found unexpected document separator", "a quotation mark is opened here and never closed"),
 )
-"""Mistakes that PyYAML notices long after the place where they were made."""
+"""Errors that PyYAML detects long after their position in the text."""
 
 _AT_THE_END = (
-    ("'\\t'", "a tab: YAML is indented with spaces"),
-    ("found another document", "a second document: only one per file, remove the '---'"),
+    ("'\\t'", "unexpected tab: indent YAML with spaces"),
+    ("found another document", "second document: write only one per file and remove the '---'"),
     ("mapping values are not allowed", _COLON),
-    ("expected <block end>", "this continues nothing that stands above: check the indentation"),
+    ("expected <block end>", "this continues no entry above: check the indentation"),
     ("found undefined alias", "the alias refers to an anchor that is not defined above"),
     ("expected ',' or '}'", "a ',' or '}' is missing before this"),
     ("expected ',' or ']'", "a ',' or ']' is missing before this"),
@@ -556,16 +577,16 @@ _AT_THE_END = (
     ("expected the node content", "a value is missing here"),
     (
         "expected '<document start>'",
-        "this continues nothing that stands above: check the indentation",
+        "this continues no entry above: check the indentation",
     ),
-    ("sequence entries are not allowed", "a '-' that does not fit here: quote it or indent it"),
+    ("sequence entries are not allowed", "unexpected '-': quote it or indent it"),
     ("cannot start any token", "text cannot begin with this character: put it in quotes"),
 )
-"""Mistakes that PyYAML notices where they were made."""
+"""Errors that PyYAML detects at their position in the text."""
 
 
 def _plain_words(error: yaml.MarkedYAMLError, text: str) -> tuple[yaml.Mark | None, str]:
-    """Return where the mistake is and what it is: PyYAML says what its parser had hoped for."""
+    """Return position and plain description of a YAML error, not what the parser expected."""
     words = f"{error.context or ''} {error.problem or ''}"
     for sign, meaning in _AT_THE_START:
         if sign in words:
@@ -580,35 +601,35 @@ def _plain_words(error: yaml.MarkedYAMLError, text: str) -> tuple[yaml.Mark | No
 
 
 def _is_indented_key(text: str, mark: yaml.Mark) -> bool:
-    """Return whether a ':' ends a key that is indented unlike what the line above begins."""
+    """Return whether a ':' ends a key whose indentation differs from the line above."""
     lines = text.splitlines()[: mark.line + 1]
     line, above = lines[-1], [one for one in lines[:-1] if one.strip() and one.strip()[0] != "#"]
     if not above or not re.fullmatch(r" *[\w.-]+ *", line[: mark.column]):
         return False
-    # Behind the dashes of lists.
+    # The columns start after the dashes of list items.
     column, column_above = (len(one) - len(one.lstrip(" -")) for one in (line, above[-1]))
     return column != column_above
 
 
 def _mark(mark: yaml.Mark, name: str) -> Mark:
-    """Return PyYAML's mark, counted from 1."""
+    """Return a PyYAML mark with line and column counted from 1."""
     return Mark(name, mark.line + 1, mark.column + 1)
 
 
 def _mark_after(before: str, name: str) -> Mark:
-    """Return the place of the character that follows the text `before`."""
+    """Return the position of the character that follows the text `before`."""
     return Mark(name, before.count("\n") + 1, len(before) - before.rfind("\n"))
 
 
-# Values: from nodes to plain data. What is wrong is noted in the source and the walk goes on, so
-# that one reading reports everything.
+# Values: from nodes to plain data. Problems are added to the source and the conversion continues,
+# so that one pass reports all problems.
 
 
 _LARGEST_INTEGER = 2**63 - 1
 
 
 def _value(node: yaml.Node, path: KeyPath, source: Source) -> Any:
-    """Return the data of a node that stands at `path`."""
+    """Return the data of the YAML node at `path`."""
     source.values[path] = _mark(node.start_mark, source.name)
     if isinstance(node, yaml.ScalarNode):
         return _scalar(node, path, source)
@@ -625,7 +646,7 @@ def _value(node: yaml.Node, path: KeyPath, source: Source) -> Any:
             source.problems.append(Problem(mark, path, why))
         elif key in result:
             first = source.keys[*path, key]
-            message = f"is given twice, first at line {first.line}, column {first.column}"
+            message = f"occurs twice, first at line {first.line}, column {first.column}"
             source.problems.append(Problem(mark, (*path, key), message))
         else:
             source.keys[*path, key] = mark
@@ -634,33 +655,33 @@ def _value(node: yaml.Node, path: KeyPath, source: Source) -> Any:
 
 
 def _why_no_key(node: yaml.Node) -> str:
-    """Return why a node cannot be the key of a mapping, nothing where it can."""
+    """Return the reason why a node cannot be the key of a mapping; empty if it can."""
     if not isinstance(node, yaml.ScalarNode):
         return "a list or mapping cannot be a key"
     if node.value == "<<":
         return "merge keys (<<) are not part of YAML 1.2: write the keys out"
     if node.tag != _TAG + "str":
-        comma = "; decimals take a point, not a comma" if node.tag == _TAG + "int" else ""
-        return f"the key '{shown(node.value)}' is no text: put it in quotes{comma}"
+        comma = "; write a decimal point, not a comma" if node.tag == _TAG + "int" else ""
+        return f"the key '{shown(node.value)}' is not text: put it in quotes{comma}"
     if _has_half_character(node.value):
-        return "the key holds half a character (a lone surrogate)"
+        return "the key contains half a character (a lone surrogate)"
     return ""
 
 
 def _scalar(node: yaml.ScalarNode, path: KeyPath, source: Source) -> Any:
-    """Return what a text, number, boolean or null says."""
+    """Return the value of a node that is a text, number, boolean or null."""
     kind, text = node.tag.removeprefix(_TAG), node.value
     if kind == "str":
         if _has_half_character(text):
-            source.add(path, "the text holds half a character (a lone surrogate)")
+            source.add(path, "the text contains half a character (a lone surrogate)")
         return text
     if kind not in _CORE_SCALARS:
         message = f"the tag {_tag(node)} is not allowed: a spec is plain data"
     elif not re.fullmatch(_CORE_SCALARS[kind][0], text):
-        message = f"{shown(text)} is no {kind}, as its tag says"
+        message = f"{shown(text)} is not of type {kind}, which its tag states"
     elif kind == "int":
         base = {"0o": 8, "0x": 16}.get(text[:2], 10)
-        # Python refuses to convert thousands of digits; so many are too large in any case.
+        # Python refuses to convert thousands of digits; such a number is too large anyway.
         if len(text) < 64 and abs(number := int(text, base)) <= _LARGEST_INTEGER:
             return number
         message = "the number is too large"
@@ -673,7 +694,10 @@ def _scalar(node: yaml.ScalarNode, path: KeyPath, source: Source) -> Any:
 
 
 def _has_half_character(text: str) -> bool:
-    """Whether UTF-8 cannot hold it; U+DC80 to U+DCFF stand for bytes of names (`hil.core.text`)."""
+    """Return whether a text contains characters that UTF-8 cannot encode.
+
+    The characters U+DC80 to U+DCFF represent bytes of file names (`hil.core.text`) and are allowed.
+    """
     return any("\ud800" <= c <= "\udfff" and not "\udc80" <= c <= "\udcff" for c in text)
 
 

@@ -1,6 +1,7 @@
-"""The dashboard: stations, live runs, catalogue, models and schedules in a browser (extra `web`).
+"""Dashboard: stations, live runs, catalogue, models and schedules in a browser (extra `web`).
 
-Every page is a view of the disk; what a person asks of a run goes the way `hil stop` goes.
+Every page shows data that are read from the disk. Requests to a run, such as Stop, reach the run in
+the same manner as `hil stop`.
 """
 
 import lazy_loader

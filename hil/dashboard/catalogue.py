@@ -1,4 +1,4 @@
-"""The catalogue: all runs, searched as `hil runs QUERY` searches, and sorted by a column."""
+"""Catalogue page: all runs, with the search of `hil runs QUERY`, sorted by a column."""
 
 from __future__ import annotations
 
@@ -33,25 +33,25 @@ ORDERS: dict[str, tuple[str, Callable[[Entry], Any]]] = {
     "duration": ("duration", lambda run: run["duration_s"] or 0.0),
     "rmse": ("RMSE, held out", lambda run: _least(run)[0]),
 }
-"""Columns that sort: heading, and what is compared."""
+"""Columns by which the catalogue can be sorted: heading and sort key."""
 
 DESCENDING_FIRST = ("run", "duration")
 
 EXAMPLES = (
-    ("robot=ur5-*", "robots by name, * for anything"),
+    ("robot=ur5-*", "robots by name; * matches any text"),
     ("status=completed", "completed, stopped, tripped, failed, interrupted, running, damaged"),
     ("verdict=rejected", "passed, rejected, not judged"),
     ("since=7d", "started in the last seven days; also since=2026-11-21 and until="),
-    ("rmse<0.1", "error on held-out data of some model, in the data's unit"),
-    ("estimator=rigid-*", "with a model of that estimator"),
-    ("load>2", "with a load of more than 2 kg; also duration [s], samples, gaps, number"),
-    ("serial=… operator=… occasion=…", "by what the run was told"),
-    ("shoulder", "a word of experiment, description or operator"),
+    ("rmse<0.1", "error of a model on held-out data, in the unit of the data"),
+    ("estimator=rigid-*", "runs with a model of that estimator"),
+    ("load>2", "runs with a load of more than 2 kg; also duration [s], samples, gaps, number"),
+    ("serial=… operator=… occasion=…", "serial number, operator and schedule occasion of the run"),
+    ("shoulder", "a word in the name, the description or the operator"),
 )
 
 
 def catalogue(request: Request) -> Response:
-    """Show runs that meet a query, a page of them."""
+    """Show one page of the list of runs that match a query."""
     settings, parameters = settings_of(request), request.query_params
     query, by = parameters.get("q", "").strip(), parameters.get("sort", "run")
     by = by if by in ORDERS else "run"
@@ -62,7 +62,7 @@ def catalogue(request: Request) -> Response:
         runs = find_runs(*_terms(query), runs=settings.runs)
     except (SpecError, DataError) as error:
         message, hint = error.message, error.hint or ""
-    runs.sort(key=ORDERS["run"][1], reverse=True)  # among equals the newest come first
+    runs.sort(key=ORDERS["run"][1], reverse=True)  # equal runs are sorted by age, newest first
     runs.sort(key=ORDERS[by][1], reverse=down)
     pages = max(1, math.ceil(len(runs) / PER_PAGE))
     asked = parameters.get("page", "1")
@@ -85,17 +85,17 @@ routes = [Route("/runs", catalogue)]
 
 
 def status_mark(status: str) -> str:
-    """Return the badge's style for how a run ended."""
+    """Return the badge style for the status of a run."""
     return "live" if status == "running" else ENDINGS.get(status, ("", ""))[1] or "quiet"
 
 
 def verdict_mark(verdict: str) -> str:
-    """Return the badge's style for a verdict."""
+    """Return the badge style for a verdict."""
     return {"passed": "pass", "rejected": "fail"}.get(verdict, "quiet")
 
 
 def _terms(query: str) -> list[str]:
-    """Split a query as a shell would; at every blank if its quotes do not close."""
+    """Split a query like a shell, or at every blank if a quotation mark is not closed."""
     try:
         return shlex.split(query)
     except ValueError:
@@ -106,7 +106,7 @@ def _row(run: Entry, settings: Settings) -> dict[str, Any]:
     path = Path(run["run"])
     try:
         address, report = run_address(path, settings), report_address(path, settings)
-    except ValueError:  # a link leads out of the folder of runs
+    except ValueError:  # a link to a folder outside of the folder of runs
         address = report = ""
     error, unit, estimator = _least(run)
     return {
@@ -129,7 +129,7 @@ def _row(run: Entry, settings: Settings) -> dict[str, Any]:
 
 
 def _least(run: Entry) -> tuple[float, str, str]:
-    """Return the smallest error on held-out data, its unit and estimator; infinite without one."""
+    """Return the smallest hold-out error, its unit and its estimator; infinite without a fit."""
     known = [fit for fit in run["fits"] if fit["rmse"] is not None]
     if not known:
         return math.inf, "", ""
@@ -138,7 +138,7 @@ def _least(run: Entry) -> tuple[float, str, str]:
 
 
 def _column(key: str, title: str, keep: Mapping[str, str]) -> dict[str, str]:
-    """Return a heading that sorts; by the column that sorts now, the other way round."""
+    """Return a column heading that sorts by its column, or reverses the current order."""
     order, turned = "", _first_order(key)
     if keep["sort"] == key:
         order = {"up": "ascending", "down": "descending"}[keep["order"]]

@@ -1,7 +1,7 @@
-"""Fleets: one experiment on many robots of a station, robot by robot.
+"""Pages of fleets: one experiment on many robots of a station, with one row per robot.
 
-What is known of a robot is what its run says now; of one that has no run here, what the fleet's
-document says.
+The state of a robot is read from its run. If this dashboard does not have the run of a robot, the
+state is read from the document of the fleet.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MOST_LISTED = 200
 
 
 def fleets(request: Request) -> Response:
-    """Show all fleets, newest first."""
+    """Show the list of all fleets, newest first."""
     settings = settings_of(request)
     closed = unreadable_folders(settings.runs) + FleetGroup.unreadable(settings.runs)
     problems = [f"{folder}: {why}; fleets in it are not listed" for folder, why in closed]
@@ -47,7 +47,7 @@ def _row(path: Path, settings: Settings, problems: list[str]) -> dict[str, Any] 
     except HilError as error:
         problems.append(error.message)
         return None
-    except ValueError:  # a link that leads out of the folder of runs
+    except ValueError:  # a link to a folder outside of the folder of runs
         return None
     return {
         "name": str(group.head.get("name") or path.name),
@@ -62,13 +62,13 @@ def _row(path: Path, settings: Settings, problems: list[str]) -> dict[str, Any] 
 
 
 def _page_address(path: Path, settings: Settings) -> str:
-    """Return the path of its own page; empty if none was made."""
+    """Return the path of the report page of a fleet; empty if the fleet has no report."""
     page = FleetGroup.page_in(path)
     return f"{run_address(path, settings)}/{page.name}" if page.is_file() else ""
 
 
 def _summary(rows: list[dict[str, Any]]) -> str:
-    """Return a summary such as `9 completed, 1 not begun; 8 passed`."""
+    """Return a summary of a fleet, such as `9 completed, 1 not begun; 8 passed`."""
     ends = Counter(row["status"] for row in rows)
     verdicts = Counter(row["verdict"] for row in rows if row["verdict"])
     parts = (", ".join(f"{n} {word}" for word, n in one.items()) for one in (ends, verdicts))
@@ -76,7 +76,7 @@ def _summary(rows: list[dict[str, Any]]) -> str:
 
 
 def _documented(member: Member) -> dict[str, str]:
-    """Return what the fleet's document says of a robot; nothing else is opened."""
+    """Return the state of a robot from the fleet document, without opening other files."""
     return {
         "status": str(member.report.get("outcome") or "not begun"),
         "verdict": str(member.report.get("verdict") or ""),
@@ -84,11 +84,11 @@ def _documented(member: Member) -> dict[str, str]:
 
 
 def fleet(request: Request) -> Response:
-    """Show one fleet, robot by robot."""
+    """Show the page of one fleet, with one row per robot."""
     settings, name = settings_of(request), request.path_params["name"]
     path = folder_at(name, settings)
     if not FleetGroup.is_at(path):
-        raise DataError(f"there is no fleet {name} in {settings.runs}", hint="look at /fleets")
+        raise DataError(f"there is no fleet {name} in {settings.runs}", hint="see /fleets")
     group = FleetGroup.open(path)
     held = holder_of(path / ".lock")
     rows = [_member(one, settings) for one in group.members()]
@@ -102,7 +102,7 @@ def fleet(request: Request) -> Response:
 
 
 def _member(member: Member, settings: Settings) -> dict[str, Any]:
-    """Return a row of a robot: as its run says now, else as the fleet's document says."""
+    """Return the table row of a robot, from its run or otherwise from the document of the fleet."""
     documented, where = _documented(member), str(member.run or "")
     run = run_named(where, settings, str(member.report.get("uid") or ""))
     status = listing_of(run).status if run else documented["status"]
@@ -125,10 +125,12 @@ def _commands(
     where, registry = shell_word(path), f"--registry {shell_word(settings.registry)}"
     found = []
     if not live and any(row["status"] != "completed" for row in rows):
-        found.append(("Go on with what ended early or was not begun:", f"hil fleet resume {where}"))
+        found.append(
+            ("Resume unfinished runs and start missing ones:", f"hil fleet resume {where}")
+        )
     fit = f"hil fleet fit {where} --estimator rigid-wls --register {registry}"
-    found.append(("Fit a model to every robot, and register them:", fit))
-    found.append(("Make its page:", f"hil fleet report {where} {registry}"))
+    found.append(("Fit a model to each robot and register it:", fit))
+    found.append(("Create the page of the fleet:", f"hil fleet report {where} {registry}"))
     return found
 
 

@@ -1,13 +1,14 @@
-"""Limits that keep Stop reachable, whatever else clients ask or fail to send.
+"""Limits that keep Stop available, even if requests are slow or too numerous.
 
-- `LimitedProtocol`: how long a request may take to arrive, and how many may be arriving. uvicorn
-  has no such limit, and a connection that sends a byte now and then costs an attacker nothing. Each
-  pending request has a deadline, which further bytes do not extend; beyond the limit the oldest
-  pending connection is closed. A long answer, such as a stream of events, has no deadline as long
-  as the client reads it.
-- `StreamLimit`: how many streams of events are open. Each holds a connection and a file.
-- `in_thread`: how many threads wait for runs, starts and streams. Each kind has its own, so that
-  sixty slow starts leave a thread for Stop.
+- `LimitedProtocol` limits the arrival time of a request and the number of pending requests. The
+  server uvicorn has no such limits, and an attacker can cheaply keep a connection open by sending
+  single bytes. Each pending request has a deadline, which is not extended by further bytes. If too
+  many connections are pending, the oldest pending connection is closed. A long response, such as an
+  event stream, has no deadline as long as the client reads the response.
+- `StreamLimit` limits the number of open event streams, each of which occupies a connection and a
+  file.
+- `in_thread` limits the number of threads separately for each kind of work: runs, starts and
+  streams. Because of the separate limits, even sixty slow starts leave a thread free for Stop.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 _LOG = logging.getLogger(__name__)
 
 UNSENT_BYTES = 128 * 1024
-"""What the kernel takes of an answer beyond what it can send at once."""
+"""Maximum number of unsent bytes of a response in the buffer of the kernel."""
 
 _TOO_MANY = "a connection was closed: too many requests were arriving"
 _TOO_SLOW = b"HTTP/1.1 408 Request Timeout\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
@@ -42,11 +43,11 @@ class Limits:
     """Limits of a connection.
 
     Attributes:
-        headers_s: From the first byte of a request (or from connecting) to the end of its
-            headers [s].
-        body_s: From there to the end of its body [s].
-        unread_s: Longest time in which a client reads nothing of an answer [s].
-        arriving: Connections whose request is not whole, at the same time.
+        headers_s: Maximum time from the first byte of a request (or from the connection) to the end
+            of the headers [s].
+        body_s: Maximum time from the end of the headers to the end of the body of a request [s].
+        unread_s: Maximum time for which a client may read nothing of a response [s].
+        arriving: Maximum number of connections whose request is incomplete.
     """
 
     headers_s: float = 10.0
@@ -56,11 +57,12 @@ class Limits:
 
 
 class LimitedProtocol(H11Protocol):
-    """HTTP/1.1 with limits; see `Limits`.
+    """HTTP/1.1 protocol with the limits that `Limits` describes.
 
     Attributes:
-        arriving: `headers` or `body` while a request is not whole, else empty.
-        since: Since when [s, monotonic].
+        arriving: Part of the request that is incomplete, `headers` or `body`; empty if no request
+            is incomplete.
+        since: Time of the last change of `arriving` [s, monotonic].
     """
 
     limits = Limits()
@@ -73,11 +75,11 @@ class LimitedProtocol(H11Protocol):
         self._unread: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait for the first request, in the place of the oldest if there are too many."""
+        """Start the deadline of the request; if necessary, close the oldest pending connection."""
         super().connection_made(transport)
-        # Bytes in the kernel's buffer, megabytes of them, would hide that a slow reader reads.
+        # Megabytes in the kernel's buffer would hide the progress of a slow reader.
         if (connection := transport.get_extra_info("socket")) is not None:
-            with contextlib.suppress(OSError, AttributeError):  # not everywhere
+            with contextlib.suppress(OSError, AttributeError):  # not supported on every system
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
         self._set_arriving("headers")
         others = [one for one in self.connections if isinstance(one, LimitedProtocol)]
@@ -86,28 +88,28 @@ class LimitedProtocol(H11Protocol):
             min(arriving, key=lambda one: one.since).drop(_TOO_MANY)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the deadlines."""
+        """Cancel the deadlines."""
         self._set_arriving("")
         self.resume_writing()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Take what has arrived, and note which part of the request is missing."""
+        """Process received data, and update which part of the request is incomplete."""
         super().data_received(data)
         self._update(begun=True)
 
     def on_response_complete(self) -> None:
-        """Wait for the next request; for its first byte as long as uvicorn does."""
+        """Wait for the next request; uvicorn limits the time until its first byte."""
         super().on_response_complete()
         self._update(begun=bool(self.conn.trailing_data[0]))
 
     def pause_writing(self) -> None:
-        """Wait for the reader as long as it reads at all."""
+        """Wait for the client to read the response, as long as the client reads anything."""
         super().pause_writing()
         self._wait_for_reader()
 
     def _wait_for_reader(self, before: int | None = None) -> None:
-        """Close the connection if none of the answer was read since there were `before` bytes."""
+        """Close the connection if the client has read nothing since `before` bytes were unsent."""
         left = self.transport.get_write_buffer_size()
         if before is not None and left >= before:
             limit_s = self.limits.unread_s
@@ -116,14 +118,14 @@ class LimitedProtocol(H11Protocol):
         self._unread = self.loop.call_later(self.limits.unread_s, self._wait_for_reader, left)
 
     def resume_writing(self) -> None:
-        """Go on writing."""
+        """Resume writing."""
         super().resume_writing()
         if self._unread is not None:
             self._unread.cancel()
             self._unread = None
 
     def _unsupported_upgrade_warning(self) -> None:
-        """Say nothing: the guard refuses what is not HTTP, once it knows who asks."""
+        """Suppress the warning: the guard rejects other protocols after its token check."""
 
     def _update(self, *, begun: bool) -> None:
         state = self.conn.their_state
@@ -145,11 +147,11 @@ class LimitedProtocol(H11Protocol):
             self._deadline = self.loop.call_later(limit_s, self.drop, message)
 
     def drop(self, why: str) -> None:
-        """Close the connection, and log why."""
+        """Close the connection to the client and log the reason."""
         if self.transport.is_closing():
             return
         _LOG.warning(why)
-        if self.arriving == "headers":  # nothing has been answered yet
+        if self.arriving == "headers":  # no answer was started
             self.transport.write(_TOO_SLOW)
             self.transport.close()
         else:
@@ -157,31 +159,33 @@ class LimitedProtocol(H11Protocol):
 
 
 MOST_STREAMS = 64
-"""Open at the same time. A browser has one, and asks again later if it is refused."""
+"""Maximum number of open event streams. A browser needs one event stream, and retries later if
+its request for a stream is rejected.
+"""
 
 
 class StreamLimit:
-    """ASGI middleware that refuses further streams of events; pages and forms always pass.
+    """ASGI middleware that rejects event streams above a maximum number, but no other requests.
 
     Args:
-        app: The application behind it.
-        most: Streams that may be open at the same time.
+        app: ASGI application to which requests are passed.
+        most: Maximum number of open event streams.
     """
 
     def __init__(self, app: ASGIApp, most: int = MOST_STREAMS) -> None:
         self._app, self._most, self._open = app, most, 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request through, or answer that too many streams are open."""
+        """Pass a request on, or respond that too many streams are open."""
         if scope["type"] != "http" or not _is_stream(scope):
             await self._app(scope, receive, send)
             return
         full = self._open >= self._most
-        if scope["method"] == "HEAD":  # a page asks why: a browser hides it from scripts
+        if scope["method"] == "HEAD":  # browsers hide a stream's status from scripts
             await PlainTextResponse("", 503 if full else 204)(scope, receive, send)
             return
         if full:
-            text = f"{self._most} pages listen already: close some, or reload this one for news\n"
+            text = f"{self._most} pages receive events already: close some, or reload this page\n"
             await PlainTextResponse(text, 503, {"Retry-After": "10"})(scope, receive, send)
             return
         self._open += 1
@@ -197,7 +201,7 @@ def _is_stream(scope: Scope) -> bool:
 
 
 async def _complete(app: ASGIApp, scope: Scope, receive: Receive, send: Send) -> None:
-    """Answer to the end: a stream that the dashboard's end cuts off has no last message."""
+    """Send a final message if the stream was cut off by the end of the dashboard."""
     unfinished = False
 
     async def noting(message: Message) -> None:
@@ -216,20 +220,22 @@ T = TypeVar("T")
 Kind = Literal["control", "start", "stream"]
 
 THREADS: dict[Kind, int] = {"control": 16, "start": 8, "stream": 8}
-"""Threads of a kind. Control may wait for a run that has just begun; pages have those of anyio."""
+"""Number of threads for each kind of work. Threads of the kind `control` possibly wait for a run
+that has just begun. Pages are computed in the threads of the library anyio.
+"""
 
 _limiters: RunVar[dict[Kind, CapacityLimiter]] = RunVar("hil_limiters")
 
 
 async def in_thread(kind: Kind, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-    """Call a function that reads the disk or waits, on a thread of a kind.
+    """Call a function that blocks or reads the disk, on a thread of a kind.
 
     Args:
-        kind: `control` for what is asked of a run, `start` for what starts or resumes one,
-            `stream` for streams of events.
-        function: What is called.
-        *args: Its arguments.
-        **kwargs: Its arguments by name.
+        kind: `control` for requests to a run, `start` for starting or resuming one, `stream` for
+            event streams.
+        function: Function to call.
+        *args: Positional arguments of the function.
+        **kwargs: Keyword arguments of the function.
     """
     try:
         limiters = _limiters.get()

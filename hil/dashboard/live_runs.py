@@ -1,15 +1,16 @@
-"""Live runs: what pages show of them, and the stream of events that keeps pages up to date.
+"""Live runs: their data on pages, and the event stream that updates the pages.
 
-- `live_headers` and `pending_starts` are the bar at the top of every page, with Stop and Cancel.
-  Nothing that a run directory holds may keep Stop from a page.
-- `LiveRun` looks at one run again and again, for the run's own page. Its document names places of
-  the page: `texts` are put into the elements with that `data-text`, `values` into those with that
-  `data-value`, `shown` says which `data-shown` are visible, and `series` are the newest numbers of
-  `data-spark`. The same document makes the page and updates it, so the script has no texts of its
-  own.
-- `events` sends both as server-sent events. A browser keeps six connections to a host, and Stop
-  must find a free one: all pages of a browser share one stream, which covers every run that one of
-  them shows.
+- The functions `live_headers` and `pending_starts` provide the bar at the top of every page, with
+  the buttons Stop and Cancel. An invalid file in a run directory must not remove the Stop button
+  from a page.
+- `LiveRun` reads the files of one run repeatedly for the page of this run. The document of
+  `LiveRun` contains the keys `texts` and `values` (contents of the elements with an equal
+  `data-text` or `data-value`), `shown` (names of the visible elements with `data-shown`) and
+  `series` (newest numbers of the elements with `data-spark`). The same document creates and updates
+  the page, so that the script of the page contains no texts.
+- `events` sends the bar and the documents as server-sent events. A browser opens at most six
+  connections to a host, and one of them must be free for Stop. Therefore, all pages of a browser
+  share one event stream, which covers every run that one of these pages shows.
 """
 
 from __future__ import annotations
@@ -45,24 +46,24 @@ Document = dict[str, Any]
 
 
 def live_headers(settings: Settings, within_s: float = 0.0) -> list[Document]:
-    """Return what the bar shows of every live run, see `header_of`.
+    """Return the data of the bar for every live run, one result of `header_of` per run.
 
     Args:
-        settings: What is served.
-        within_s: See `hil.runs.live_runs.KnownRuns.live`.
+        settings: Settings of the dashboard.
+        within_s: Maximum age of the result [s], as in `hil.runs.live_runs.KnownRuns.live`.
     """
     root = settings.runs.resolve()
     headers = []
     for run in known_runs(settings.runs).live(within_s):
-        if not run.resolve().is_relative_to(root):  # behind a link: it has no address
+        if not run.resolve().is_relative_to(root):  # outside of the folder of runs
             continue
         try:
             headers.append(header_of(run, settings))
-        except Exception:  # whatever its files say: it can be stopped
+        except Exception:  # despite invalid files, the run can be stopped
             headers.append({
                 "name": run_name(run, settings),
                 "address": run_address(run, settings),
-                "text": "its live view cannot be read",
+                "text": "its live state cannot be read",
                 "asks": False,
                 "percent": 0,
                 "done": "0 %",
@@ -74,7 +75,7 @@ def live_headers(settings: Settings, within_s: float = 0.0) -> list[Document]:
 
 
 def header_of(run: Path, settings: Settings) -> Document:
-    """Return what every page shows of a live run."""
+    """Return the data of a live run that the bar of every page shows."""
     view = read_live(run)
     run_now, silent = standing_in(view), _silent(view)
     headline = _headline(run_now, run)
@@ -92,10 +93,10 @@ def header_of(run: Path, settings: Settings) -> Document:
 
 
 def pending_starts(settings: Settings) -> list[dict[str, str]]:
-    """Return `id`, `spec`, `text` and `address` of the starts that have no live run at the moment.
+    """Return `id`, `spec`, `text` and `address` of all starts that have no live run at the moment.
 
-    Either none yet, or of a series, whose next run is to come. A start that cannot be looked at is
-    left out: it is no run.
+    A start without a live run is a start that has created no run yet, or a series between two runs.
+    A start whose file cannot be read is omitted, because it is not a run.
     """
     return [
         {
@@ -110,7 +111,7 @@ def pending_starts(settings: Settings) -> list[dict[str, str]]:
 
 
 def _is_pending(started: Started) -> bool:
-    """Return whether a run is to come of a start; its process may be there only to close."""
+    """Return whether a start will create a further run, and is not merely about to exit."""
     if not started.alive:
         return False
     made = started.made
@@ -120,46 +121,46 @@ def _is_pending(started: Started) -> bool:
         return False
     try:
         count = len(load_series_spec(started.spec).series)
-    except HilError:  # an experiment, or changed since
+    except HilError:  # not a series, or the file has changed
         return False
-    # A series goes on after runs that were judged, while experiments are left.
+    # A series continues after each judged run, until all of its experiments are done.
     return len(made) < count and all((run / "verdict.json").is_file() for run in made)
 
 
 def pending_words(started: Started) -> str:
-    """Return what a start does before it is a live run, as a predicate."""
+    """Return the activity of a start before its run is live, as a text without a subject."""
     if started.again:
-        return "is about to go on"
-    return "is about to begin its next run" if started.made else "is being planned"
+        return "is about to resume"
+    return "is about to start its next run" if started.made else "is being planned"
 
 
 SILENT_AFTER_S = 5.0
 
 FIRST_LINES = 30
-"""Lines of the event log on a page that is just made."""
+"""Number of lines of the event log that a newly loaded page shows."""
 
 NOT_KNOWN = "–"
 
 FASTER = 1.5
-"""Rate of a clock, relative to the wall clock, from which on it is a simulation's."""
+"""Rate of a clock relative to the wall clock above which the clock counts as simulated."""
 
 MOST_ASKED = 2000
-"""Characters of a question that are shown."""
+"""Maximum number of characters of a question that a page shows."""
 
 HELD = "interlock "
-"""Beginning of the reason of a pause that an interlock, not an operator, asked for."""
+"""First word of the reason for a pause, if an interlock requested the pause."""
 
 JOINERS = "\u200c\u200d"
-"""Not printable by themselves, but words of some languages need them."""
+"""Characters that are not printable but are required in the text of some languages."""
 
 
 class LiveRun:
-    """A run that a page shows, read again and again.
+    """Live run on a page, whose files are read repeatedly.
 
     Args:
-        run: The run directory.
-        settings: What is served.
-        after: Lines of its event log that the page has already.
+        run: Run directory.
+        settings: Settings of the dashboard.
+        after: Number of lines of the event log that the page already contains.
     """
 
     def __init__(self, run: Path, settings: Settings, after: int = 0) -> None:
@@ -169,10 +170,10 @@ class LiveRun:
         self._view: Document = {}
 
     def look(self) -> Document:
-        """Return the document of how it is now; equal to the last one if nothing has changed."""
-        live = is_live(self._run)  # first, so that what was written before the end is read after it
+        """Return the document of the current state; equal to the last document without a change."""
+        live = is_live(self._run)  # checked first, so that the last lines are read
         log = list(self._new_lines())
-        # A run that ends removes its live view; the page keeps the last one.
+        # A run removes its live view at its end; the page retains the last one.
         self._view = (read_live(self._run) if live else {}) or self._view
         return {
             **_document(self._run, self._view, live),
@@ -235,10 +236,10 @@ def _document(run: Path, view: Document, live: bool) -> Document:
 
 
 def _actions(now: Standing, *, live: bool, known: bool) -> dict[str, bool]:
-    """Return what can be asked of it now; everything if nothing is known of its state."""
+    """Return the requests that a run accepts; all requests if the state of the run is unknown."""
     moves = live and now.state not in ENDING
     why = now.pausing or (now.reason if now.state == PAUSED else "")
-    # After an interlock's pause it goes on by itself.
+    # After a pause by an interlock, the run resumes automatically.
     by_operator = bool(why) and not why.startswith(HELD)
     return {
         "pause": moves and not (known and by_operator),
@@ -248,7 +249,7 @@ def _actions(now: Standing, *, live: bool, known: bool) -> dict[str, bool]:
 
 
 def question_words(text: str) -> str:
-    """Return a question as a page shows it: with its lines, without what cannot be printed."""
+    """Return a question for a page, with line breaks and without unprintable characters."""
     lines = text[: MOST_ASKED + 1].splitlines()
     shown = "\n".join("".join(map(_printable, line)).rstrip() for line in lines)
     return shown if len(text) <= MOST_ASKED else shown[: MOST_ASKED - 1] + "…"
@@ -261,7 +262,7 @@ def _printable(c: str) -> str:
 
 
 def _headline(now: Standing, run: Path) -> str:
-    """Return what an operator has to know first; short, for it is read aloud when it changes."""
+    """Return the state most important to an operator as a short text, for screen readers."""
     if now.state == "done":
         return _motion_over(now, run)
     if now.state in ENDING:
@@ -276,7 +277,7 @@ def _headline(now: Standing, run: Path) -> str:
 
 
 def _motion_over(now: Standing, run: Path) -> str:
-    """Return how the motion ended, and the stage that follows it."""
+    """Return how the motion ended, and the stage that follows."""
     try:
         stop = RunDirectory(run).stop or {}
     except HilError:
@@ -297,7 +298,7 @@ def _ended(run: Path) -> str:
 
 
 def _left(now: Standing, arm: Document) -> str:
-    """Return the time left by the wall clock, and the rate at which simulated time passes."""
+    """Return a text with the remaining wall-clock time and the rate of simulated time."""
     if now.state in ENDING or not now.duration_s:
         return NOT_KNOWN
     clock = "virtual clock" if arm.get("clock") == "virtual" else ""
@@ -307,13 +308,13 @@ def _left(now: Standing, arm: Document) -> str:
 
 
 def _silent(view: Document) -> str:
-    """Return for how long the run has written nothing; empty while that is as usual."""
+    """Return how long the run has written nothing; empty if this time is usual."""
     t = view.get("t")
     quiet = time.time() - t if isinstance(t, int | float) else 0.0
-    # While models are fitted, the arm has no news.
+    # There are no updates of the arm during fits.
     if quiet < SILENT_AFTER_S or view.get("state") == "done":
         return ""
-    return f"no news for {quiet:.0f} s" if quiet < 60 else f"no news for {duration(quiet)}"
+    return f"no data for {quiet:.0f} s" if quiet < 60 else f"no data for {duration(quiet)}"
 
 
 def _joint_texts(arm: Document) -> Document:
@@ -342,7 +343,7 @@ def _margin_words(margin: Document) -> str:
 
 
 def _series(arm: Document) -> Document:
-    """Return the newest numbers of the curves."""
+    """Return the newest values of the curves on the page."""
     keys = {"effort": "effort", "temperature": "temperature_c"}
     return {
         f"{name}.{i}": value
@@ -356,7 +357,7 @@ def _number(value: object, scale: float, form: str) -> str:
     if not isinstance(value, int | float) or not math.isfinite(value):
         return NOT_KNOWN
     text = format(scale * value, form)
-    return text.lstrip("-") if not text.strip("-0.") else text  # rounded to zero: no sign
+    return text.lstrip("-") if not text.strip("-0.") else text  # no sign if rounded to zero
 
 
 def _finite(value: object) -> float:
@@ -374,29 +375,31 @@ def _list(value: object) -> list[Any]:
 LOOK_EVERY_S = 0.25
 
 BEAT_EVERY_S = 2.0
-"""A page that hears nothing for longer says that what it shows is old."""
+"""Interval between heartbeat events [s]; a page that receives no events for longer marks its
+data as outdated.
+"""
 
 ENDED_LOOKED_AT_S = 2.0
-"""How often runs that have ended are looked at: one may be resumed."""
+"""Interval between checks of ended runs [s], which are necessary because a run can be resumed."""
 
 MOST_RUNS = 16
-"""Runs of one stream; of others it has only what every page shows."""
+"""Maximum number of runs in one event stream; other runs are shown in the bar only."""
 
 Events = AsyncIterator[dict[str, str]]
 
 
 async def events(request: Request) -> EventSourceResponse:
-    """Send which runs are live and where they are, and how every `run` of the query is.
+    """Send the live runs with their addresses, and the state of every `run` in the query.
 
-    A stream of `live`, `planned`, `run`, `over` and `beat`; `after` is, for each `run`, how many
-    lines of its log are known.
+    The events of the stream are `live`, `planned`, `run`, `over` and `beat`. The query parameter
+    `after` contains, for each `run`, the number of lines of its log that are already known.
     """
     settings = settings_of(request)
     names = [name_read(name) for name in request.query_params.getlist("run")[:MOST_RUNS]]
     known = request.query_params.getlist("after")[: len(names)]
     runs = []
     for name, after in zip_longest(names, known, fillvalue=""):
-        # A run that has gone is no reason to send nothing of the others.
+        # A deleted run must not end the events of the others.
         try:
             runs.append(await in_thread("stream", _open, name, after, settings))
         except HilError:
@@ -405,7 +408,7 @@ async def events(request: Request) -> EventSourceResponse:
 
 
 async def run_events(request: Request) -> EventSourceResponse:
-    """Send how one run is whenever that changes, until it ends; and what `events` sends."""
+    """Send every change of one run until its end, in addition to the bar of `events`."""
     settings, name = settings_of(request), request.path_params["name"]
     run = await in_thread("stream", _open, name, request.query_params.get("after", ""), settings)
     return EventSourceResponse(_changes(_shared_bar(settings), [run], until_ended=True), ping=15)
@@ -417,7 +420,7 @@ def _open(name: str, after: str, settings: Settings) -> LiveRun:
 
 
 async def _changes(bar: _SharedBar, runs: list[LiveRun], *, until_ended: bool = False) -> Events:
-    """Yield what has changed since it was sent last, and a beat now and then."""
+    """Yield all changes since the last events, and regular heartbeats."""
     sent: dict[LiveRun, Document] = {}
     before = _Bar()
     beat = time.monotonic() + BEAT_EVERY_S
@@ -433,7 +436,7 @@ async def _changes(bar: _SharedBar, runs: list[LiveRun], *, until_ended: bool = 
             if document != sent.get(run):
                 event = "over" if document["over"] else "run"
                 yield {"event": event, "data": json.dumps(document)}
-            sent[run] = document | {"log": []}  # lines of the log are sent once
+            sent[run] = document | {"log": []}  # each log line is sent once
             if document["over"]:
                 runs.remove(run)
         if until_ended and not runs:
@@ -446,14 +449,14 @@ async def _changes(bar: _SharedBar, runs: list[LiveRun], *, until_ended: bool = 
 
 @dataclass(frozen=True, slots=True)
 class _Bar:
-    """What the bar of every page shows; None before it was read."""
+    """Content of the bar on every page; None before the content was read from the disk."""
 
     live: list[Document] | None = None
     planned: list[dict[str, str]] | None = None
 
 
 class _SharedBar:
-    """The bar, read from the disk once for all streams."""
+    """Bar whose content is read from the disk once for all event streams."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -461,12 +464,12 @@ class _SharedBar:
         self._fresh_until, self._bar = 0.0, _Bar()
 
     def read(self) -> _Bar:
-        """Return it as it is now, or was a moment ago."""
+        """Return the content of the bar: newly read, or read a short time before."""
         with self._reading:
             if time.monotonic() >= self._fresh_until:
-                # Starts first: one that has just become a live run is shown twice, not left out.
+                # Starts are read first: one that becomes live is shown twice, not omitted.
                 planned = pending_starts(self._settings)
-                # A start that has gone from the list has become a live run: look for it at once.
+                # A start that left the list has become a live run, so search for it at once.
                 within_s = ENDED_LOOKED_AT_S if planned == self._bar.planned else 0.0
                 self._bar = _Bar(live_headers(self._settings, within_s), planned)
                 self._fresh_until = time.monotonic() + LOOK_EVERY_S

@@ -1,13 +1,13 @@
-"""Registered models: the pages of all names, of one name, and of one version.
+"""Pages of registered models: the list of model names, one name, and one version.
 
-The page of a name shows who was champion when, what probes say about drift of the robot, its
-versions, and the log of what was done to them. It changes nothing: commands for a terminal are
-shown instead, where a promotion is compared first and its reason kept. A version or a log that is
-damaged spoils no page; what is wrong with it is listed as a problem.
+The page of a model name shows the history of champions, the drift of the robot according to its
+probes, the versions, and the log. The pages of registered models cannot change the registry. The
+pages show commands for a terminal, in which a promotion includes a comparison and a recorded
+reason. A damaged version or log is listed as a problem; the rest of the page is shown.
 
-The two charts (`timeline`, `control_chart`) are SVG: coordinates are computed here, in a viewBox
-`WIDTH` wide, templates draw the marks, and styles colour them. All that a chart shows is in a table
-as well.
+The two charts (`timeline`, `control_chart`) are SVG. Coordinates are computed here, in a viewBox of
+width `WIDTH`; templates draw the marks, and style sheets set the colours. All data of a chart are
+also shown in a table.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ from hil.report import (
 
 
 def models(request: Request) -> Response:
-    """Show all names, and their champions."""
+    """Show the list of all model names and their champions."""
     settings = settings_of(request)
     registry, problems = Registry(settings.registry), list[str]()
     rows = [_name_row(registry, name, problems) for name in registry.names()]
@@ -96,7 +96,7 @@ def _name_row(registry: Registry, name: str, problems: list[str]) -> dict[str, A
 
 
 def model(request: Request) -> Response:
-    """Show one name: champions, drift, versions, and the log."""
+    """Show the champions, the drift, the versions and the log of one model name."""
     settings, name = settings_of(request), request.path_params["name"]
     registry, problems = Registry(settings.registry), list[str]()
     versions = _require_versions(registry, name, problems)
@@ -131,7 +131,7 @@ def _version_row(one: ModelVersion, aliases: Aliases, settings: Settings) -> dic
 def _model_commands(
     name: str, aliases: Aliases, broken: bool, settings: Settings
 ) -> list[tuple[str, str]]:
-    """Return what can be done in a terminal: words and command."""
+    """Return suitable terminal commands, as pairs of a description and a command."""
     where = f"--registry {shell_word(settings.registry)}"
     if broken:
         repair = f"hil models repair {name} {where}"
@@ -140,25 +140,25 @@ def _model_commands(
     if not aliases.champion:
         which = "challenger" if aliases.challenger else "v1"
         promote = f"hil models promote {name} {which} --reason TEXT {where}"
-        found.append(("Make it the first champion, which has nobody to be compared with:", promote))
+        found.append(("Make it the first champion, without a comparison:", promote))
     elif aliases.challenger:
         promote = f"hil models promote {name} challenger --on RUN --reason TEXT {where}"
-        found.append(("Promote, if it errs less on a run neither was fitted to:", promote))
+        found.append(("Promote it if its error is smaller on a run unknown to both:", promote))
     if aliases.before:
         back = f"hil models rollback {name} --reason TEXT {where}"
-        found.append((f"Go back to v{aliases.before[-1]}, the champion before:", back))
-    found.append(("Judge a new probe of the robot:", f"hil drift {name} RUN {where}"))
+        found.append((f"Roll back to v{aliases.before[-1]}, the previous champion:", back))
+    found.append(("Evaluate a new probe of the robot:", f"hil drift {name} RUN {where}"))
     found.append(
-        ("Compare every file and the log with their digests:", f"hil models check {where}")
+        ("Check every file and the log against their digests:", f"hil models check {where}")
     )
     return found
 
 
 def version(request: Request) -> Response:
-    """Show all that is known of one version."""
+    """Show all information about one model version."""
     settings, name = settings_of(request), request.path_params["name"]
     registry = Registry(settings.registry)
-    _require_versions(registry, name, [])  # raises if there is no such name
+    _require_versions(registry, name, [])  # raises if the name does not exist
     found = read_version(registry.root / name, request.path_params["number"])
     log, broken = _log_of(registry, name)
     aliases = Aliases.after(log)
@@ -175,7 +175,7 @@ def version(request: Request) -> Response:
 
 
 def _intact(one: ModelVersion) -> str:
-    """Return what is wrong with its files; empty if they are as they were registered."""
+    """Return the problem of the files of a version; empty if the files match their digests."""
     try:
         one.verify()
     except HilError as error:
@@ -204,7 +204,7 @@ def _version_facts(one: ModelVersion) -> list[tuple[str, str]]:
 
 
 def _evaluation(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return errors per joint on every source that it was evaluated on."""
+    """Return the prediction errors per joint on every data source of the evaluation."""
     names = as_names(facts.get("joint_names"))
     return [_source_errors(part, names) for part in as_objects(facts.get("evaluation"))]
 
@@ -237,7 +237,7 @@ routes = [
 
 
 def registered_models(settings: Settings) -> dict[str, list[dict[str, Any]]]:
-    """Return, by the SHA-256 of a model's document, the versions it was registered as."""
+    """Return the registered versions by the SHA-256 digest of the document of the model."""
     registry, found = Registry(settings.registry), dict[str, list[dict[str, Any]]]()
     for name in registry.names():
         for version in _versions_of(registry, name, []):
@@ -249,24 +249,24 @@ def registered_models(settings: Settings) -> dict[str, list[dict[str, Any]]]:
 
 
 def _address(name: str, number: int = 0) -> str:
-    """Return the path of the page of a name, or of one of its versions."""
+    """Return the path of the page of a model name, or of one of its versions."""
     return f"/models/{quoted(name)}" + (f"/v{number}" if number else "")
 
 
 def _require_versions(registry: Registry, name: str, problems: list[str]) -> list[ModelVersion]:
-    """Return the versions of a name; those that cannot be read are named in `problems`.
+    """Return the readable versions of a name; add the errors of other versions to `problems`.
 
     Raises:
-        RegistryError: There is no such name.
+        RegistryError: The model name does not exist.
     """
     if name not in registry.names():
-        registry.versions(name)  # says what is alike
-        raise RegistryError(f"{registry.root} has no models of {name}", hint="look at /models")
+        registry.versions(name)  # raises with similar names
+        raise RegistryError(f"{registry.root} has no models of {name}", hint="see /models")
     return _versions_of(registry, name, problems)
 
 
 def _versions_of(registry: Registry, name: str, problems: list[str]) -> list[ModelVersion]:
-    """Return the versions of a name, oldest first; see `_require_versions`."""
+    """Return the readable versions of a name, oldest first, as in `_require_versions`."""
     home, found = registry.root / name, []
     for version_number in numbers_in(home):
         try:
@@ -277,7 +277,7 @@ def _versions_of(registry: Registry, name: str, problems: list[str]) -> list[Mod
 
 
 def _log_of(registry: Registry, name: str) -> tuple[tuple[Entry, ...], str]:
-    """Return the log, and what is wrong with its chain; a broken log is returned as empty."""
+    """Return the log and the problem of its chain of digests; a broken log is returned as empty."""
     try:
         return read_log(registry.root / name), ""
     except HilError as error:
@@ -285,7 +285,7 @@ def _log_of(registry: Registry, name: str) -> tuple[tuple[Entry, ...], str]:
 
 
 def _log_row(name: str, entry: Entry) -> dict[str, Any]:
-    """Return a row of the log."""
+    """Return the table row of a log entry."""
     glyph, words = GLYPHS[entry.event]
     return {
         "at": when(entry.at),
@@ -299,20 +299,20 @@ def _log_row(name: str, entry: Entry) -> dict[str, Any]:
 
 
 def _role_of(number_: int, aliases: Aliases) -> str:
-    """Return `champion`, `challenger` or an empty text."""
+    """Return the role of a version: `champion`, `challenger` or an empty text."""
     if number_ == aliases.champion:
         return "champion"
     return "challenger" if number_ == aliases.challenger else ""
 
 
 def _run_of(one: ModelVersion, settings: Settings) -> dict[str, str]:
-    """Return `text` and `address` of the run that it was fitted to."""
+    """Return `text` and `address` of the run to which a version was fitted."""
     run = as_object(one.facts.get("run"))
     return run_link(str(run.get("folder") or ""), settings, str(run.get("uid") or ""))
 
 
 def _error_of(facts: Mapping[str, Any]) -> str:
-    """Return the mean RMSE (raw) on the first source that it was evaluated on."""
+    """Return the mean raw RMSE on the first data source of the evaluation."""
     for part in as_objects(facts.get("evaluation")):
         error = as_float(as_object(part.get("total")).get("mean_raw"))
         if math.isfinite(error):
@@ -321,12 +321,12 @@ def _error_of(facts: Mapping[str, Any]) -> str:
 
 
 def _unit_of(facts: Mapping[str, Any]) -> str:
-    """Return the unit of the efforts."""
+    """Return the unit of effort of a model."""
     return "A" if facts.get("effort_kind") == "current" else "N·m"
 
 
 def _newest_comparison(log: Sequence[Entry]) -> dict[str, Any] | None:
-    """Return the newest comparison of two versions, joint by joint; None if there is none."""
+    """Return the newest comparison of two versions, per joint; None without a comparison."""
     for entry in reversed(log):
         comparison = as_object(entry.evidence.get("comparison"))
         names = as_names(comparison.get("joint_names"))
@@ -358,17 +358,18 @@ def _times(old: float, new: float) -> str:
 
 
 SHARES = ("friction", "gain")
-"""Features that are shares; they are shown in percent."""
+"""Names of features that are shares and are shown in per cent."""
 
 
 def _drift_of(name: str, feature: str, unit: str, settings: Settings) -> dict[str, Any]:
-    """Return `probes` (newest first), `features`, `feature` and its `chart`, and `problem`.
+    """Return the keys `probes` (newest first), `features`, `feature`, `chart` and `problem`.
 
     Args:
-        name: Name of the models.
-        feature: Feature that is charted; the one that changed last if it is none of them.
-        unit: Unit of the efforts.
-        settings: What is served.
+        name: Name of the registered model.
+        feature: Name of the feature to chart; any other text selects the feature with the latest
+            change.
+        unit: Unit of effort of the model.
+        settings: Settings of the dashboard.
     """
     registry, problem = Registry(settings.registry), ""
     judged: Sequence[ChartedProbe] = ()
@@ -382,8 +383,8 @@ def _drift_of(name: str, feature: str, unit: str, settings: Settings) -> dict[st
         )
     except HilError as error:
         problem = error.message
-    except (OSError, ValueError) as error:  # a model that is no model any more
-        problem = f"the probes cannot be charted: {error}"
+    except (OSError, ValueError) as error:  # a model file is invalid
+        problem = f"the probes cannot be plotted: {error}"
     names = probes[-1].features.names if probes else ()
     chosen = feature if feature in names else _most_telling(probes)
     alike = [one for one in judged if one.probe.features.names == names]
@@ -399,18 +400,22 @@ def _drift_of(name: str, feature: str, unit: str, settings: Settings) -> dict[st
 
 @lru_cache(maxsize=32)
 def _charted_probes(registry: Path, name: str, stamp: str) -> tuple[ChartedProbe, ...]:
-    """Return the probes with their limits. Models are loaded for that: once per `stamp`."""
+    """Return the probes of the robot with their limits.
+
+    The limits depend on the models, which are slow to load; the result is therefore cached per
+    `stamp`.
+    """
     return tuple(charted_probes(Registry(registry), name))
 
 
 def _stamp(home: Path) -> str:
-    """Return what changes with the probes, and with a version that is added or damaged."""
+    """Return a text that changes after a new probe, and after a version was added or damaged."""
     found = [home / PROBES_FILE, *home.glob("v*/*")]
     return ";".join(f"{p.name}:{p.stat().st_mtime_ns}:{p.stat().st_size}" for p in sorted(found))
 
 
 def _most_telling(probes: Sequence[Probe]) -> str:
-    """Return the feature that changed last; the first one if none ever did."""
+    """Return the feature with the latest change; the first feature if none has changed."""
     for probe in reversed(probes):
         for cause in probe.causes:
             wanted = "load mass" if cause.name == "load" else cause.name
@@ -420,7 +425,7 @@ def _most_telling(probes: Sequence[Probe]) -> str:
 
 
 def _drift_chart(judged: Sequence[ChartedProbe], feature: str) -> dict[str, Any]:
-    # Probes without a time stand at their numbers, in the order in which they were taken.
+    # Without times, the coordinates of probes are their numbers.
     timed = all(np.isfinite(_seconds(one.probe.at)) for one in judged)
     if timed:
         judged = sorted(judged, key=lambda one: _seconds(one.probe.at))
@@ -472,15 +477,18 @@ GLYPHS = {
     "registered": ("○", "registered"),
     "challenger": ("◇", "made challenger"),
     "promoted": ("▲", "promoted to champion"),
-    "kept": ("✕", "compared, and not promoted"),
+    "kept": ("✕", "compared and not promoted"),
     "rolled-back": ("◀", "champion again"),
-    "head-adopted": ("·", "head of the log adopted"),
+    "head-adopted": ("·", "head of the log created"),
     "repaired": ("✚", "log repaired"),
 }
 
 
 def timeline(log: Sequence[Entry]) -> dict[str, Any]:
-    """Return a chart of champions: a row per version, a column per event, newest ones only."""
+    """Return a chart of the champions with one row per version and one column per event.
+
+    The chart shows only the newest `MOST_EVENTS` events.
+    """
     log = [entry for entry in log if entry.version]  # events of the log itself have no version
     events = list(enumerate(log))[-MOST_EVENTS:]
     versions = sorted({entry.version for _, entry in events}, reverse=True)
@@ -505,10 +513,10 @@ def timeline(log: Sequence[Entry]) -> dict[str, Any]:
 def _reigns(
     events: Sequence[tuple[int, Entry]], x: Scale, y: dict[int, float]
 ) -> Iterator[dict[str, float]]:
-    """Yield the time of each champion: from a promotion or rollback to the next."""
+    """Yield the period of each champion: from a promotion or rollback to the next one."""
     crowned = [(i, e.version) for i, (_, e) in enumerate(events)
                if e.event in CHAMPION_EVENTS]  # fmt: skip
-    ends = [*(i for i, _ in crowned), len(events)][1:]  # none if there was no champion
+    ends = [*(i for i, _ in crowned), len(events)][1:]  # empty without a champion
     for (begin, version), end in zip(crowned, ends, strict=True):
         last = WIDTH - RIGHT if end == len(events) else x(end)
         yield {"x": x(begin), "y": y[version], "width": round(last - x(begin), 1)}
@@ -523,16 +531,16 @@ def control_chart(
     champions: Sequence[int],
     labels: Sequence[str],
 ) -> dict[str, Any]:
-    """Return a chart of one feature of P probes, with the limits that an unchanged robot keeps.
+    """Return a chart of one feature in P probes, with the limits for an unchanged robot.
 
     Args:
-        values: Values of the feature (P,).
-        expected: Values of an unchanged robot (P,).
-        limit: Distance from these from which on the robot counts as changed (P,).
-        at: Unix times of the probes, or their numbers (P,).
-        changed: Whether the robot counts as changed (P,).
-        champions: Versions that the probes were compared with (P,).
-        labels: Texts below the marks (P,).
+        values: Measured values of the feature (P,).
+        expected: Values that are expected for an unchanged robot (P,).
+        limit: Minimum deviation from the expected value that counts as a change (P,).
+        at: Unix times of the probes, or probe numbers (P,).
+        changed: Flags of the probes in which a change was detected (P,).
+        champions: Numbers of the versions with which the probes were compared (P,).
+        labels: Texts below the marks of the probes (P,).
     """
     x = Scale(min(at), max(at) if max(at) > min(at) else min(at) + 1, LEFT + 12, WIDTH - RIGHT - 12)
     low, high = _range(values, expected, limit)
@@ -568,7 +576,7 @@ def _range(values: FloatArray, expected: FloatArray, limit: FloatArray) -> tuple
 
 
 def _levels(low: float, high: float) -> list[float]:
-    """Return about four round values."""
+    """Return about four round values between `low` and `high`."""
     rough = (high - low) / 4
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(one * power for one in (1, 2, 5, 10) if one * power >= rough)
@@ -578,11 +586,11 @@ def _levels(low: float, high: float) -> list[float]:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Linear map from values to coordinates.
+    """Linear map from values to coordinates of a chart.
 
     Attributes:
-        low, high: Range of the values.
-        begin, end: Range of the coordinates.
+        low, high: Smallest and largest value of the range.
+        begin, end: Coordinates of `low` and `high`.
     """
 
     low: float
@@ -591,13 +599,16 @@ class Scale:
     end: float
 
     def __call__(self, value: float) -> float:
-        """Return the coordinate, within the picture and rounded for the file."""
+        """Return the coordinate of a value, clipped to the chart and rounded."""
         share = (value - self.low) / (self.high - self.low)
         return round(self.begin + min(max(share, -0.02), 1.02) * (self.end - self.begin), 1)
 
 
 def _ticks(x: Sequence[float], labels: Sequence[str]) -> list[dict[str, Any]]:
-    """Return days below the marks, or times if all are of one day; those that fit, none twice."""
+    """Return tick labels below the marks, without overlaps and without repeated texts.
+
+    The tick labels are days, or times if all marks are on one day.
+    """
     one_day = len({label[:10] for label in labels}) == 1 and len(labels[0]) > DATE
     room, found, used = (WIDTH - LEFT - RIGHT) / MOST_LABELS, list[dict[str, Any]](), set[str]()
     for where, label in zip(x, labels, strict=True):

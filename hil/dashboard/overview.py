@@ -1,7 +1,7 @@
-"""The overview: live runs, the newest runs, what schedules have due, and stations.
+"""Overview page: live runs, newest runs, due occasions of schedules, and stations.
 
-Of a station its robots are shown, and the leases of those that a process holds; no driver is opened
-for it. Stations are those that may be chosen for a start, and the one that is taken by default.
+The robots and current leases of each station are shown without opening a driver. The stations shown
+are the stations offered for a start, and the default station.
 """
 
 from __future__ import annotations
@@ -30,12 +30,14 @@ from hil.runs import entry_of, listing_of, run_paths
 from hil.spec import Station
 
 NEWEST = 8
-"""Runs that are listed, the newest."""
+"""Number of newest runs that the overview lists."""
 
 MOST_STATIONS = 12
 
 FEW_ROBOTS = 12
-"""Robots of a station that are all listed; of more, those that are free are folded away."""
+"""Maximum number of robots of a station that are all listed; at a larger station, free robots
+are collapsed.
+"""
 
 
 def overview(request: Request) -> Response:
@@ -60,7 +62,7 @@ def _run_row(run: Path, settings: Settings) -> dict[str, Any]:
     entry = entry_of(listing_of(run))
     try:
         name, address = run_name(run, settings), run_address(run, settings)
-    except ValueError:  # a link that leads out of the folder of runs
+    except ValueError:  # a link to a folder outside of the folder of runs
         name, address = run.name, ""
     return {
         "name": name,
@@ -75,14 +77,15 @@ def _run_row(run: Path, settings: Settings) -> dict[str, Any]:
 
 
 def stations_of(settings: Settings) -> list[dict[str, Any]]:
-    """Return stations, and at the end what is held and belongs to none of them (`elsewhere`).
+    """Return the stations, followed by an entry `elsewhere` for leases that belong to none of them.
 
     Returns:
-        `name`, `source`, `problem`, `told` (the number of robots, if some are folded away),
-        `robots`, and those folded away as `rest`: `name`, `driver`, `model`, `held` and `run` each.
+        The entry of a station contains `name`, `source`, `problem`, `told` (number of robots, if
+        some are collapsed), `robots`, and the collapsed robots as `rest`. The entry of a robot
+        contains `name`, `driver`, `model`, `held` and `run`.
     """
     leases = held_leases()
-    stations: list[Path | None] = [None]  # the one that is taken by default
+    stations: list[Path | None] = [None]  # None: the default station
     if settings.specs is not None:
         names = offered_files(settings, "station")[:MOST_STATIONS]
         stations += [settings.specs / name for name in names]
@@ -137,12 +140,12 @@ def _run_link(run: str, settings: Settings) -> dict[str, str] | None:
         return None
     try:
         return {"name": Path(run).name, "address": run_address(Path(run), settings)}
-    except ValueError:  # it is in another folder of runs, and has no page here
+    except ValueError:  # in a different folder of runs, without a page here
         return {"name": run, "address": ""}
 
 
 def _folded(robots: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return robots that are always shown, and the rest."""
+    """Return the robots that are always shown, and the robots that are collapsed."""
     if len(robots) <= FEW_ROBOTS:
         return {"told": "", "robots": robots, "rest": []}
     held = [one for one in robots if one["held"]]

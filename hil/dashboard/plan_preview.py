@@ -1,14 +1,16 @@
-"""Plans that are shown, and confirmed, before anything is started; nothing moves here.
+"""Plans that are shown and confirmed before a start; this module moves no robot.
 
-A plan may take hours and more memory than there is, whereas the dashboard, Stop and other plans
-must not wait. So `plan_in_process` runs this module as a process of its own (`main`): it is asked
-by one line of JSON on its input, answers with one document, and ends when the client leaves, when
-its input is closed (the dashboard was killed), or at a limit of time or memory.
+The computation of a plan possibly takes hours and exhausts the memory. The dashboard, Stop and
+other plans must not wait meanwhile. Therefore `plan_in_process` runs this module in a separate
+process (`main`). The separate process reads one line of JSON from its input and answers with one
+document. The separate process ends if the client disconnects, if its input is closed (the dashboard
+was killed), or at a limit of time or memory.
 
-Two digests tie a start to what its operator has seen. `experiments_digest` is of all that decides
-what the arm does: a form that was checked sends it back, and nothing is started if it differs.
-`ShownMotions` remembers the motion of each real robot that a page has shown, by its digest; it is
-confirmed by typing the name of the robot (`refusal_of`).
+Two digests ensure that a started run matches the plan that the operator has seen. The digest
+`experiments_digest` covers everything that determines the motion of the arm: a checked form sends
+the digest back, and the start is rejected if the digest has changed. `ShownMotions` stores the
+displayed motion of each real robot under the digest of the motion. The operator confirms the motion
+by typing the name of the robot (`refusal_of`).
 """
 
 from __future__ import annotations
@@ -61,28 +63,28 @@ from hil.workflow import (
 )
 
 PLANS = threading.BoundedSemaphore(2)
-"""Plans that are made at the same time: each takes a core for seconds."""
+"""Maximum number of simultaneous plans, each of which uses a processor core for seconds."""
 
 
 async def plans_to_show(
     request: Callable[[], Awaitable[Mapping[str, Any]]], gone: Callable[[], Awaitable[bool]]
 ) -> dict[str, Any]:
-    """Plan what a form asks for.
+    """Plan the request of a form.
 
     Args:
-        request: Returns what is to be planned, see `plan_in_process`.
-        gone: Whether the client has left.
+        request: Function that returns the request, see `plan_in_process`.
+        gone: Function that returns whether the client has left.
 
     Returns:
-        `plans`, and the digests that the form sends back: `checked` of what was planned, `facts`
-        of the motions that have to be confirmed, empty where none has to be. Instead of them
-        `error` and its HTTP `status` where there is no plan.
+        `plans`, and the digests that the form sends back: `checked` for the plan, and `facts` for
+        the motions to be confirmed, empty if there are none. If there is no plan, `error` and its
+        HTTP `status` instead.
 
     Raises:
         ClientGone: The client has left.
     """
     if not PLANS.acquire(blocking=False):
-        busy = HilError("two plans are being made at the moment", hint="try again in a moment")
+        busy = HilError("two plans are already being computed", hint="try again in a moment")
         return {"error": busy, "status": 503}
     try:
         answer = await plan_in_process(await request(), gone)
@@ -97,22 +99,23 @@ async def plans_to_show(
 
 NOT_SHOWN = NotConfirmed(
     "not started: a real robot would move, and its motion was not confirmed",
-    hint="below is what it would do; type the name of the robot to confirm it",
+    hint="check the plan below, then type the name of the robot to confirm its motion",
 )
 
 CHANGED = SpecError(
-    "not started, for it is not what was checked: the form or a file was changed since",
-    hint="below is what would be done now; look at it and start it again",
+    "not started: the form or a file was changed after the check",
+    hint="check the new plan below, then start again",
 )
 
 
 def refusal_of(fields: Mapping[str, str], digest: str, *, real: bool) -> HilError | None:
-    """Return why what a form asks for is not started; None if it is.
+    """Return the reason why the request of a form is rejected; None if it is accepted.
 
     Args:
-        fields: Fields of the form: `checked`, `facts` and `confirm`.
-        digest: Of what would be started now, see `experiments_digest`.
-        real: Whether its motion has to be confirmed.
+        fields: Fields of the form, of which `checked`, `facts` and `confirm` are read.
+        digest: Digest of the experiments that would be started now, computed by
+            `experiments_digest`.
+        real: Whether the motion of a real robot must be confirmed.
     """
     if fields.get("checked", "") not in ("", digest):
         return CHANGED
@@ -122,7 +125,7 @@ def refusal_of(fields: Mapping[str, str], digest: str, *, real: bool) -> HilErro
     if facts and not (facts.get("robot") and facts.get("address")):
         robots = {f"{one['robot']} at {one['address']}": None for one in facts["motions"]}
         return NotConfirmed(
-            f"not started: it moves {' and '.join(robots)}, and this form confirms one robot",
+            f"not started: it moves {' and '.join(robots)}, but this form confirms one robot",
             hint=f"start it on the command line: hil run {fields.get('spec', '')}".rstrip(),
         )
     if not (facts and fields.get("checked")):
@@ -130,24 +133,24 @@ def refusal_of(fields: Mapping[str, str], digest: str, *, real: bool) -> HilErro
     if fields.get("confirm", "").strip() != facts["robot"]:
         return NotConfirmed(
             f"not started: {facts['robot']} was not confirmed",
-            hint=f"look at what it will do, then type {facts['robot']} to confirm it",
+            hint=f"check the plan below, then type {facts['robot']} to confirm its motion",
         )
     return None
 
 
 MOST_MOTIONS = 200
-"""Plans of real robots whose facts are remembered until they are confirmed."""
+"""Maximum number of stored motions of real robots that await confirmation."""
 
 
 class ShownMotions:
-    """Motions of real robots that pages have shown, by the digest that their form sends back."""
+    """Displayed motions of real robots, by the digest that the form of the motion sends back."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[str, list[dict[str, Any]]] = OrderedDict()
         self._looking = threading.Lock()
 
     def keep(self, motions: list[dict[str, Any]]) -> str:
-        """Return the digest of motions, `MotionFacts.to_dict` each, and remember them."""
+        """Store motions (results of `MotionFacts.to_dict`) and return their digest."""
         digest = digest_of({"motions": motions})
         with self._looking:
             self._kept[digest] = motions
@@ -156,7 +159,7 @@ class ShownMotions:
         return digest
 
     def confirmed(self, digest: str) -> dict[str, Any]:
-        """Return what a digest confirms, see `facts_of_all`; empty if no page has shown it."""
+        """Return the motion facts that a digest confirms (`facts_of_all`), or empty facts."""
         with self._looking:
             return facts_of_all(self._kept.get(digest, []))
 
@@ -165,16 +168,17 @@ MOTIONS = ShownMotions()
 
 
 def experiments_digest(experiments: Iterable[Experiment], speed: str = "", first: str = "") -> str:
-    """Return a SHA-256 of everything that decides what the arm does, except where it stands.
+    """Return a SHA-256 digest of everything that determines the motion, except the initial pose.
 
     Args:
-        experiments: Of each: its spec as resolved (a file of poses by its content), its station,
-            and the description of a custom robot by its content.
-        speed: Share of the speed, as typed.
-        first: Part of the program, as typed.
+        experiments: Experiments that the digest covers. The digest covers the resolved spec (with
+            the content of a file of poses), the station, and the content of the description file of
+            a custom robot.
+        speed: Speed as a share of full speed, as the operator typed it.
+        first: Part of the program to be executed, as the operator typed it.
 
     Raises:
-        SpecError: A file cannot be read.
+        SpecError: One of the covered files cannot be read.
     """
     parts = [
         [spec_hash(one.spec), one.station.model_dump(mode="json"), _arm_digest(one.robot.model)]
@@ -185,9 +189,10 @@ def experiments_digest(experiments: Iterable[Experiment], speed: str = "", first
 
 
 def _arm_digest(model: str) -> str:
-    """Return the SHA-256 of a custom robot's file as it is now, empty for a built-in arm.
+    """Return the SHA-256 digest of the current file of a custom robot; empty for a built-in arm.
 
-    `model_sha256` is of the content that this process has read, which may be older.
+    The attribute `model_sha256` is not used here, because it is the digest of the content that this
+    process has read, which is possibly outdated.
     """
     if model in arm_names():
         return ""
@@ -195,7 +200,7 @@ def _arm_digest(model: str) -> str:
         return hashlib.sha256(Path(model).read_bytes()).hexdigest()
     except OSError as error:
         raise SpecError(
-            f"{model}: cannot be read: {error.strerror}", hint="see whether it exists"
+            f"{model}: cannot be read: {error.strerror}", hint="check that it exists"
         ) from None
 
 
@@ -206,27 +211,27 @@ MODULE = "hil.dashboard.plan_preview"
 
 
 class ClientGone(Exception):
-    """The client has left: its plan is not needed any more."""
+    """Exception for a client that has disconnected, so that its plan is no longer needed."""
 
 
 async def plan_in_process(
     request: Mapping[str, Any], gone: Callable[[], Awaitable[bool]]
 ) -> dict[str, Any]:
-    """Plan an experiment, a series, or the rest of a run, in a process of its own.
+    """Plan an experiment, a series, or the remainder of a run in a separate process.
 
     Args:
-        request: `spec`, `station`, `overrides`, `speed` and `first`; or `run`, the directory of a
-            run that is to be resumed.
-        gone: Whether the client has left.
+        request: `spec`, `station`, `overrides`, `speed` and `first`, or `run` with the run
+            directory of a run to resume.
+        gone: Function that returns whether the client has left.
 
     Returns:
         `plans`, see `shown_plan`, and `digest`, see `experiments_digest`.
 
     Raises:
-        HilError: Planning failed, exceeded its time limit or exceeded its memory limit.
+        HilError: Planning failed, or exceeded its limit of time or memory.
         ClientGone: The client has left.
     """
-    process = subprocess.Popen(  # noqa: S603 - our own module
+    process = subprocess.Popen(  # noqa: S603 - runs this module
         [sys.executable, "-P", "-m", MODULE],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -237,20 +242,20 @@ async def plan_in_process(
     output = asyncio.get_running_loop().run_in_executor(None, _communicate, process, line)
     try:
         await _until_done(output, gone)
-    finally:  # also if this request is cancelled, with the dashboard
+    finally:  # also if the dashboard cancels this request
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
         code = process.wait()
     text = output.result()
     try:
         answer = json.loads(text)
-    except ValueError:  # it broke
+    except ValueError:  # not valid JSON
         answer = None
     if not (isinstance(answer, dict) and answer):
         answer = {"error": f"planning ended without an answer (code {code})", "broken": True}
     if "broken" in answer:
         gb = MOST_BYTES / 1024**3
-        hint = f"a plan may take {gb:.2g} GB here; plan it with `hil plan`"
+        hint = f"a plan may use {gb:.2g} GB of memory here; plan it with `hil plan`"
         raise PlanError(f"no plan: {answer['error']}", hint=hint)
     if "error" in answer:
         raise HilError(answer["error"], hint=answer["hint"])
@@ -258,11 +263,14 @@ async def plan_in_process(
 
 
 def _communicate(process: subprocess.Popen[bytes], line: bytes) -> bytes:
-    """Return all its output. Its input stays open meanwhile, as a sign that a client waits."""
+    """Return the complete output of the planning process.
+
+    The input of the planning process stays open meanwhile, as a sign that a client waits.
+    """
     assert process.stdin is not None
     assert process.stdout is not None
     with process.stdout:
-        with contextlib.suppress(BrokenPipeError):  # it has ended, and may have said why
+        with contextlib.suppress(BrokenPipeError):  # the process has ended, possibly with an answer
             process.stdin.write(line)
             process.stdin.flush()
         output = process.stdout.read()
@@ -279,17 +287,17 @@ async def _until_done(output: asyncio.Future[bytes], gone: Callable[[], Awaitabl
         if time.monotonic() > until:
             raise PlanError(
                 f"this plan takes longer than {LIMIT_S:g} s",
-                hint="plan it with `hil plan`; or start it: the run takes the time it needs",
+                hint="plan it with `hil plan`, or start it: a run has no time limit for planning",
             )
 
 
-TOO_LARGE = "its arrays do not fit into the memory that a plan may take here"
+TOO_LARGE = "its arrays do not fit into the memory that a plan may use here"
 
 
 def main() -> None:
-    """Plan what the first line of the input asks for, and print the answer."""
+    """Plan the request in the first input line, and print the response."""
     answers = os.dup(1)
-    os.dup2(2, 1)  # whatever else prints is no part of the answer
+    os.dup2(2, 1)  # other output must not be part of the answer
     request = json.loads(sys.stdin.readline())
     threading.Thread(target=_end_with_the_client, daemon=True).start()
     resource.setrlimit(resource.RLIMIT_DATA, (request["bytes"],) * 2)
@@ -327,33 +335,36 @@ def _plan(request: Mapping[str, Any]) -> dict[str, Any]:
 
 
 PICTURES = 3
-"""Plans of a long series that are drawn: a picture has some hundred kilobytes."""
+"""Maximum number of plans with a picture in a series, because a picture has some hundred
+kilobytes.
+"""
 
 UNASKED = (
-    "Planned without the robot, which was not connected to: this plan begins in the roomiest pose "
-    "of its range, and limits are the maker's; once started, the run plans anew from where the arm "
-    "stands, before it moves."
+    "Planned without a connection to the robot: this plan begins at the least obstructed pose of "
+    "its range and uses the manufacturer's limits. After its start and before any motion, the run "
+    "plans again from the current pose of the arm."
 )
 
 
 def shown_plan(
     experiment: Experiment, part: Commissioning | None, *, draw: bool = True
 ) -> dict[str, Any]:
-    """Return what an experiment would do.
+    """Return the plan of an experiment in the form that the page shows.
 
     Args:
-        experiment: What would be run, and on which robot.
-        part: Part of its program; None for all.
-        draw: Whether to draw it, which takes most of a second.
+        experiment: Experiment with the name of its robot.
+        part: Part of the program to be planned; None for the whole program.
+        draw: Whether to include a picture, whose computation takes most of a second.
 
     Raises:
-        PlanError: The spec has no safe plan, or nothing of it would be measured.
-        RobotError: A robot on a virtual clock cannot be asked where it stands.
+        PlanError: The spec has no safe plan, or the plan contains no measurement.
+        RobotError: The pose of a robot that uses a virtual clock cannot be read.
 
     Returns:
-        Values of the template. `motion` is what has to be confirmed before a real robot moves
-        (`MotionFacts.to_dict`); None for mocks, and if the robot could not be asked where it
-        stands, as the swept space depends on that.
+        Values that the template of the page inserts. The value `motion` is the motion to be
+        confirmed before a real robot moves (`MotionFacts.to_dict`). The value `motion` is None for
+        mock robots. The value `motion` is also None if the pose of the robot could not be read,
+        because the swept space depends on the pose.
     """
     experiment = replace(experiment, commissioning=part)
     plan, facts, motion, unreached = _previewed(experiment)
@@ -373,14 +384,14 @@ def shown_plan(
 
 
 def shown_rest(unfinished: Unfinished) -> dict[str, Any]:
-    """Return what going on with a run would do; `motion` and `motion_rows` as in `shown_plan`.
+    """Return the remaining plan of a run; `motion` and `motion_rows` are as in `shown_plan`.
 
     Raises:
-        HilError: It cannot be planned from where the arm stands, see `remaining_motion`.
+        HilError: The motion from the current pose cannot be planned (see `remaining_motion`).
     """
     motion = remaining_motion(unfinished)
     return {
-        "title": f"The rest of {unfinished.experiment.spec.name}",
+        "title": f"Rest of {unfinished.experiment.spec.name}",
         "motion": motion and motion.to_dict(),
         "motion_rows": motion.rows() if motion else [],
     }
@@ -418,15 +429,15 @@ def _rows(facts: PlanPreview, part: Commissioning | None) -> Iterator[tuple[str,
 
 
 def _notes(facts: PlanPreview, part: Commissioning | None) -> Iterator[str]:
-    """Return what an operator of the page, who sees no command line, has to know."""
+    """Yield notes for an operator at the page, who does not see the output of the command line."""
     if part is not None:
-        yield "A trial of the arm: nothing is fitted or judged, and it cannot be gone on with."
+        yield "A commissioning run: nothing is fitted or evaluated, and it cannot be resumed."
     if WITHOUT_THE_ROBOT in facts.warnings:
         yield UNASKED
 
 
 def _picture(plan: Plan) -> str:
-    """Return the picture of a plan as a data URI: no script in it runs, no style leaves it."""
+    """Return the picture of a plan as a data URI, so that its scripts and styles are isolated."""
     data = base64.b64encode(picture_of(plan).encode()).decode()
     return f"data:image/svg+xml;base64,{data}"
 

@@ -1,7 +1,7 @@
-"""Pages and answers: HTML from the templates, JSON for programs, and errors as either.
+"""Rendering of responses: HTML from templates, JSON for programs, and error pages.
 
-Every text of a template is escaped. Every page shows the bar of live runs with Stop, the error page
-too; if the bar itself cannot be made, a bare page says so.
+All text in templates is escaped. Every page, including the error page, shows the bar of live runs
+with the Stop button. If the bar of live runs cannot be rendered, a minimal page explains the error.
 """
 
 from __future__ import annotations
@@ -40,27 +40,27 @@ NAVIGATION = (
 
 
 def operator_of(request: Request) -> str:
-    """Return the operator at the browser: their name, else the user the dashboard runs as."""
+    """Return the name of the operator at the browser, or the user of the dashboard process."""
     return unquote(request.cookies.get(OPERATOR_COOKIE, "")).strip()[:80] or _default_operator()
 
 
 def _default_operator() -> str:
     try:
         user = getpass.getuser()
-    except (KeyError, OSError):  # a user without a name
+    except (KeyError, OSError):  # the user has no name
         user = "somebody"
     return f"{user} (dashboard)"
 
 
 def back(request: Request) -> str:
-    """Return the address that a form was sent from; never one of another site."""
+    """Return the address of the page that contains the form, never of a different site."""
     try:
         came = urlsplit(request.headers.get("referer", ""))
-    except ValueError:  # no address
+    except ValueError:  # an invalid address
         return "/"
     if came.netloc != request.headers.get("host", "") or not came.path.startswith("/"):
         return "/"
-    # Two slashes at the beginning would name another host.
+    # Two leading slashes would refer to a different host.
     return "/" + came.path.lstrip("/") + (f"?{came.query}" if came.query else "")
 
 
@@ -68,10 +68,10 @@ def page(request: Request, template: str, *, status: int = 200, **context: Any) 
     """Return a page.
 
     Args:
-        request: The request that is answered.
-        template: Name of a template in `hil/dashboard/templates`; extends `base.html.j2`.
+        request: HTTP request to which the page responds.
+        template: Name of a template in `hil/dashboard/templates` that extends `base.html.j2`.
         status: HTTP status.
-        **context: Values of the template; the base needs `title`.
+        **context: Values of the template; the base template needs `title`.
     """
     settings = settings_of(request)
     html = (
@@ -104,17 +104,17 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters["quoted"] = lambda text: shell_word(str(text))  # of commands to copy
+    made.filters["quoted"] = lambda text: shell_word(str(text))  # for commands to copy
     return made
 
 
 def as_json(document: Any, status: int = 200) -> Response:
-    """Return an answer to a program."""
+    """Return a JSON answer for a program."""
     return Response(json_text(document), status, media_type="application/json")
 
 
 def error_page(request: Request, error: Exception) -> Response:
-    """Return what went wrong, as a page or, for programs, as JSON."""
+    """Return an error as a page or, if the client is a program, as JSON."""
     status, message, hint = _explained(error)
     if "text/html" not in request.headers.get("accept", ""):
         return as_json({"error": message, "hint": hint}, status)
@@ -122,12 +122,12 @@ def error_page(request: Request, error: Exception) -> Response:
     texts = {"title": title, "message": message, "hint": hint}
     try:
         return page(request, "error.html.j2", status=status, **texts)
-    except Exception:  # the bar of live runs is itself what cannot be read
+    except Exception:  # the bar of live runs may be the cause
         return HTMLResponse(utf8_text(_bare(**texts)), status)
 
 
 def _bare(title: str, message: str, hint: str) -> str:
-    """Return a page for which nothing is read from the disk."""
+    """Return a page that requires no data from the disk."""
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
         f"<h1>{escape(title)}</h1><p>{escape(message)}</p><p>{escape(hint)}</p>"
@@ -136,7 +136,7 @@ def _bare(title: str, message: str, hint: str) -> str:
     )
 
 
-_HTTP = {404: ("there is no such page", "the navigation above leads to all there are")}
+_HTTP = {404: ("this page does not exist", "use the navigation above")}
 _STATUS = {"DataError": 404, "SpecError": 422, "RegistryError": 404}
 
 
@@ -152,6 +152,6 @@ def _explained(error: Exception) -> tuple[int, str, str]:
         return 500, message, hint
     if isinstance(error, HTTPException):
         return error.status_code, *_HTTP.get(error.status_code, (error.detail, ""))
-    # A mistake of ours on one page: an operator still has all others, and Stop.
-    message = f"this page could not be made: {type(error).__name__}: {error}"
+    # An unexpected error affects one page only: all others, and Stop, still work.
+    message = f"this page could not be created: {type(error).__name__}: {error}"
     return 500, message, "details are in the terminal of `hil serve`"

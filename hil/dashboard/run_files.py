@@ -1,12 +1,13 @@
-"""Runs and their files by address: all that a request may read of the folder of runs.
+"""Runs and their files by address: the only module that converts addresses to paths of runs.
 
-The path of an address becomes a path on the disk in two functions only: `folder_at` (any folder
-below the folder of runs, links followed, nothing outside) and `require_run` (a run directory). The
-other way round, `run_name` and `run_address` raise ValueError for what lies elsewhere.
+Only two functions convert the path in an address to a path on the disk: `folder_at` (any folder
+below the folder of runs, after following links) and `require_run` (a run directory). In the
+opposite direction, `run_name` and `run_address` raise ValueError for paths outside the folder of
+runs.
 
-A run may have come from another computer, with pages that anybody has written. They are served at
-addresses like their paths on the disk, so that links between them work, and in a sandbox, so that
-their scripts cannot act as the dashboard.
+A run is possibly from a different computer, with pages from an untrusted author. Untrusted pages
+are served at addresses that match their paths on the disk, so that links between these pages work.
+Untrusted pages are served in a sandbox, so that their scripts cannot act as the dashboard.
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ from hil.report import REPORT_FILE, size
 
 
 class Place(PathConvertor):
-    """Part of an address such as `2026-11-22/ur5/0042-dwell`; names may have line breaks."""
+    """Part of an address that identifies a run; names possibly contain line breaks.
+
+    An example is `2026-11-22/ur5/0042-dwell`.
+    """
 
     regex = r"[\s\S]*"
 
@@ -38,12 +42,12 @@ register_url_convertor("place", Place())
 
 
 def run_name(run: Path, settings: Settings) -> str:
-    """Return where a run is below the folder of runs, such as `2026-11-22/ur5/0042-dwell`.
+    """Return the path of a run below the folder of runs, such as `2026-11-22/ur5/0042-dwell`.
 
-    As text that a page can show; `hil.core.text.name_read` gives the name on the disk.
+    The returned path is encoded for a page; `hil.core.text.name_read` returns the name on the disk.
 
     Raises:
-        ValueError: It is elsewhere, such as behind a link.
+        ValueError: The run is outside the folder of runs, for example because of a link.
     """
     return name_text(_below(run, settings))
 
@@ -53,64 +57,65 @@ def _below(folder: Path, settings: Settings) -> Path:
 
 
 def run_address(run: Path, settings: Settings) -> str:
-    """Return the path of the page of a run.
+    """Return the path of the dashboard page of a run.
 
     Raises:
-        ValueError: It is elsewhere, see `run_name`.
+        ValueError: The run is outside the folder of runs (see `run_name`).
     """
     return f"/runs/{quoted(_below(run, settings))}"
 
 
 def folder_at(name: str, settings: Settings) -> Path:
-    """Return the folder of an address, below the folder of runs.
+    """Return the folder with an address, which is below the folder of runs.
 
     Raises:
-        DataError: There is none, or it is outside the folder of runs.
+        DataError: The folder does not exist, or the folder is outside the folder of runs.
     """
     root = settings.runs.resolve()
     try:
         path = (root / name).resolve()
         there = path.is_dir()
-    except (OSError, ValueError):  # no file system takes the name: too long; with a NUL
+    except (OSError, ValueError):  # invalid name: too long, or with a NUL character
         there = False
     if not there or not path.is_relative_to(root) or path == root:
-        raise DataError(f"there is no run {name} in {settings.runs}", hint="look at /runs")
+        raise DataError(f"there is no run {name} in {settings.runs}", hint="see /runs")
     return path
 
 
 RUN_DEPTH = 3
-"""Folders from the folder of runs to a run: day, robot, run."""
+"""Number of folder levels from the folder of runs to a run: day, robot, run."""
 
 
 def require_run(name: str, settings: Settings) -> Path:
-    """Return the run directory of an address, damaged or not.
+    """Return the run directory with an address, even if the run is damaged.
 
     Raises:
-        DataError: There is none.
+        DataError: There is no run with this address.
     """
     run = folder_at(name, settings)
-    # A day has a number, too, but is not where runs are.
+    # The folder of a day has a number, too, but at a different level.
     in_place = number_of(run) and len(run.relative_to(settings.runs.resolve()).parts) == RUN_DEPTH
     if not in_place and not (run / "start.json").is_file():
-        raise DataError(f"there is no run {name} in {settings.runs}", hint="look at /runs")
+        raise DataError(f"there is no run {name} in {settings.runs}", hint="see /runs")
     return run
 
 
 def report_address(run: Path, settings: Settings) -> str:
-    """Return the path of the report of a run; empty if it has none."""
-    there = os.path.isfile(run / REPORT_FILE)  # False where the folder may not be entered
+    """Return the path of the report of a run; empty if the run has no report."""
+    there = os.path.isfile(run / REPORT_FILE)  # False if the folder is not accessible
     return f"{run_address(run, settings)}/report" if there else ""
 
 
 def run_named(folder: str, settings: Settings, uid: str = "") -> Path | None:
-    """Return the run that a document names; None if it is not served here.
+    """Return the run that a document names; None if the run is not below the folder of runs.
 
-    The folder of runs may have been moved since: the end of the path is looked for in it.
+    The folder of runs was possibly moved; therefore, the end of the path is searched for in the
+    folder of runs.
 
     Args:
-        folder: Where the run was when the document was written.
-        settings: What is served.
-        uid: Identity of the run; empty if the document has none.
+        folder: Path of the run at the time the document was written.
+        settings: Settings of the dashboard.
+        uid: Identity of the run; empty if the document contains no identity.
     """
     root, path = settings.runs.resolve(), Path(folder)
     if not folder:
@@ -131,7 +136,7 @@ def run_named(folder: str, settings: Settings, uid: str = "") -> Path | None:
 
 
 def run_link(folder: str, settings: Settings, uid: str = "") -> dict[str, str]:
-    """Return `text` and `address` of a run that a document names; no address if it is not here."""
+    """Return `text` and `address` of a run in a document; the address is possibly empty."""
     run = run_named(folder, settings, uid)
     address = ""
     with contextlib.suppress(ValueError):
@@ -142,10 +147,10 @@ def run_link(folder: str, settings: Settings, uid: str = "") -> dict[str, str]:
 SANDBOX = {
     "Content-Security-Policy": "sandbox allow-scripts allow-popups; default-src 'none'; "
     "script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:",
-    # Browsers show nothing at all that is both sandboxed and has a group of windows of its own.
+    # Browsers show no page that is sandboxed and has a separate browsing context group.
     "Cross-Origin-Opener-Policy": "unsafe-none",
 }
-"""Headers of pages that are not ours: their scripts run in an opaque origin."""
+"""HTTP headers of untrusted pages, whose scripts run in an opaque origin."""
 
 FOLDERS = ("recording", "fit", "study")
 MOST_LISTED = 300
@@ -154,13 +159,13 @@ MOST_LISTED = 300
 def report(request: Request) -> Response:
     """Show the report of a run."""
     run = require_run(request.path_params["name"], settings_of(request))
-    return _sandboxed(run, REPORT_FILE, f"make it with: hil report {run.name}")
+    return _sandboxed(run, REPORT_FILE, f"create it with: hil report {run.name}")
 
 
 def html_page(request: Request) -> Response:
     """Show any page below the folder of runs: of a run, a fleet, a series or a simulation."""
     settings, (folder, _, name) = settings_of(request), request.path_params["page"].rpartition("/")
-    return _sandboxed(folder_at(folder, settings), f"{name}.html", "look at /runs")
+    return _sandboxed(folder_at(folder, settings), f"{name}.html", "see /runs")
 
 
 def _sandboxed(folder: Path, name: str, hint: str) -> Response:
@@ -171,23 +176,25 @@ def _sandboxed(folder: Path, name: str, hint: str) -> Response:
 
 
 def download(request: Request) -> Response:
-    """Send a file of a run, as an attachment."""
+    """Send a file of a run as an attachment."""
     run = require_run(request.path_params["name"], settings_of(request))
     name = request.query_params.get("path", "")
     path = run / name_read(name)
     if path not in files_in(run):
-        raise DataError(f"{run.name} has no file {name!r}", hint="its page lists those it has")
+        raise DataError(
+            f"{run.name} has no file {name!r}", hint="the page of the run lists its files"
+        )
     return FileResponse(path, media_type="application/octet-stream", filename=name_text(path.name))
 
 
 def files_in(run: Path) -> list[Path]:
-    """Return the files that belong to a run, by name; neither links nor hidden files."""
+    """Return the files of a run, sorted by name, without links and hidden files."""
     found = _plain_files(run)
     for name in FOLDERS:
         found += _plain_files(run / name)
         for folder in _folders(run / name):
             found += _plain_files(folder)
-    # A folder of the run may itself be a link, to all that the dashboard's user may read.
+    # A folder of the run may be a link to other files of the dashboard's user.
     return [path for path in found if _is_below(path, run)]
 
 
@@ -210,12 +217,12 @@ def _folders(folder: Path) -> list[Path]:
 def _is_below(path: Path, run: Path) -> bool:
     try:
         return path.resolve(strict=True).is_relative_to(run.resolve())
-    except (OSError, RuntimeError):  # gone meanwhile; links in a ring
+    except (OSError, RuntimeError):  # deleted meanwhile, or circular links
         return False
 
 
 def listed_files(run: Path, settings: Settings) -> list[dict[str, Any]]:
-    """Return `name`, `size` in words and `address` of a run's files, the first of them."""
+    """Return `name`, `size` (as text) and `address` of the first `MOST_LISTED` files of a run."""
     where = run_address(run, settings)
     found = []
     for path in files_in(run)[:MOST_LISTED]:

@@ -1,12 +1,13 @@
-"""The page of a run: what is asked of it while it is live, and what it was once it has ended.
+"""Page of a run: controls of a live run, and results of an ended run.
 
-Of a live run the page shows `LiveRun` and has forms for Stop, Pause, Resume and answers. They go
-the way that `hil stop` goes: through the run directory, to the process of the run.
+The page of a live run shows the data of `LiveRun` and has forms for Stop, Pause, Resume and
+answers. The forms for Stop, Pause and Resume work like `hil stop`: they write requests to the run
+directory, which the process of the run reads.
 
-Of a run that has ended it shows facts, models and files, whatever of them can still be read. A run
-that ended early can be resumed there, in a new attempt that moves the arm. That has an address of
-its own (`go-on`): Resume of a live run, pressed a moment too late, must move no arm. What has to be
-confirmed is shown first, as on the start page.
+The page of an ended run shows all readable facts, models and files of the run. A run that ended
+early can be resumed on its page, in a new attempt that moves the arm. Resuming an ended run has a
+separate address (`go-on`), so that a late click on the Resume button of a live run cannot move an
+arm. The motion to be confirmed is shown before an ended run is resumed, as on the start page.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ from hil.workflow import (
 
 
 def run_page(request: Request) -> Response:
-    """Show a run, live or ended."""
+    """Show the page of a run, live or ended."""
     settings = settings_of(request)
     run = require_run(request.path_params["name"], settings)
     if not is_live(run):
@@ -109,12 +110,12 @@ def run_page(request: Request) -> Response:
 
 
 def _is_virtual(start: Document) -> bool:
-    """Return whether simulated time drives a run, as its start document says."""
+    """Return whether a run uses simulated time, according to its start document."""
     return as_object(start.get("robot")).get("clock") == "virtual"
 
 
 async def stop(request: Request) -> Response:
-    """Stop a run now; also from a page that an earlier dashboard process made."""
+    """Stop a run now; also accept a page of an earlier dashboard process."""
     return await _ask(request, lambda run, who, form: stop_run(run, who=who, wait_s=0), old=True)
 
 
@@ -124,25 +125,25 @@ async def pause(request: Request) -> Response:
 
 
 async def resume(request: Request) -> Response:
-    """Let a paused run go on."""
+    """Resume a paused run."""
     return await _ask(request, lambda run, who, form: resume_live_run(run, who=who, wait_s=0))
 
 
 async def answer(request: Request) -> Response:
-    """Answer the question that was shown, and no other one."""
+    """Answer the displayed question, but not a different one."""
     return await _ask(request, _answer)
 
 
 def _answer(run: Path, who: str, form: dict[str, str]) -> Reaction:
     if form.get("answer") not in ("yes", "no"):
-        raise DataError("an answer is yes or no")
+        raise DataError("the answer must be yes or no")
     question = question_of(run)
     shown = question_words(question.text)
-    # Browsers end lines in their own way, and an older run does not count its questions.
+    # Browsers use different line breaks, and an older run does not count its questions.
     same_text = shown.split() == form.get("prompt", "").split()
     same = form.get("asked", str(question.asked)) == str(question.asked)
     if not (same_text and same and form.get("attempt", question.holder) == question.holder):
-        raise DataError(f"{run.name} asks something else now: {shown}", hint="read it and answer")
+        raise DataError(f"{run.name} now asks another question: {shown}", hint="read and answer it")
     return answer_run(run, form["answer"] == "yes", who=who, asked=question, wait_s=0)
 
 
@@ -152,7 +153,7 @@ async def _ask(
     *,
     old: bool = False,
 ) -> Response:
-    """Ask something of a live run, and answer with its page or, for scripts, with JSON."""
+    """Send a request to a live run; respond with its page or, for scripts, with JSON."""
     form, settings = await form_of(request, old=old), settings_of(request)
 
     def reaction() -> tuple[Reaction, str]:
@@ -167,7 +168,7 @@ async def _ask(
     try:
         reacted, address = await in_thread("control", reaction)
     except DataError:
-        # Stop of a run that has ended meanwhile is no error: its page says how it ended.
+        # Stop after the end of a run is not an error: its page shows how it ended.
         if old and wants_page and (ended := await in_thread("control", ended_at)):
             return RedirectResponse(ended, 303)
         raise
@@ -177,17 +178,17 @@ async def _ask(
 
 
 LISTENS_WITHIN_S = 3.0
-"""A run that has just begun hears nothing for a moment."""
+"""Maximum time after the start of a run before the run accepts requests [s]."""
 
 
 def _when_listening(ask: Callable[[], Reaction], run: Path) -> Reaction:
-    """Ask a run, again and again if it has just begun and does not listen yet."""
+    """Send a request to a run; repeat the request while the run has just begun and rejects it."""
     deadline = time.monotonic() + LISTENS_WITHIN_S
     while True:
         try:
             return ask()
         except DataError as error:
-            deaf = "does not listen" in error.message and is_live(run)
+            deaf = "does not accept requests" in error.message and is_live(run)
             if not deaf or time.monotonic() >= deadline:
                 raise
         time.sleep(0.05)
@@ -206,10 +207,11 @@ def ended_page(
     """Return the page of a run that is not live.
 
     Args:
-        request: The request that is answered.
-        run: Its directory, see `require_run`.
-        operator: Operator of the resumption, as typed.
-        shown: What has to be confirmed before it is resumed, see `plans_to_show`; or why it is not.
+        request: HTTP request to which the page responds.
+        run: Path of the run directory, from `require_run`.
+        operator: Operator of the resumption, as typed in the form.
+        shown: Motion to be confirmed before the resumption (see `plans_to_show`), or the error that
+            prevents the resumption.
     """
     settings, shown = settings_of(request), shown or {}
     facts = shown.get("facts", "")
@@ -231,30 +233,31 @@ def ended_page(
 
 
 def resume_offer(run: Path, settings: Settings) -> dict[str, Any]:
-    """Return what the page of an ended run offers.
+    """Return the data that a page needs to offer the resumption of an ended run.
 
     Returns:
-        `once`, the token of a form that resumes it, empty if it cannot be resumed; `begun`, the
-        address of a process that is about to resume it.
+        The key `once` contains the token of a form that resumes the run; it is empty if the run
+        cannot be resumed. The key `begun` contains the address of a process that is about to resume
+        the run.
     """
     going = [one for one in started_runs(settings.runs) if one.alive and one.again == run]
-    begun = (one.id for one in going if not one.made)  # else it has gone on, and only closes
+    begun = (one.id for one in going if not one.made)  # others have resumed, and will exit
     if (name := next(begun, "")) or settings.read_only:
         return {"once": "", "begun": f"/start/{name}" if name else ""}
     try:
         resumable = require_resumable(run).status in RESUMABLE
-    except Exception:  # whatever its files say: it has a page
+    except Exception:  # a page is needed despite invalid files
         resumable = False
     return {"once": secrets.token_urlsafe(12) if resumable else "", "begun": ""}
 
 
 async def go_on(request: Request) -> Response:
-    """Resume an ended run in a new attempt; show first what has to be confirmed."""
+    """Resume an ended run in a new attempt; show the motion to be confirmed first."""
     fields, settings = await form_of(request), settings_of(request)
     operator = fields.get("operator", "").strip()[:80] or operator_of(request)
 
     def read() -> tuple[Path, str, bool]:
-        require_text(operator, "the name of who is at the robot")
+        require_text(operator, "the name of the operator")
         run = require_run(request.path_params["name"], settings)
         return run, *resumption_of(run, settings)
 
@@ -273,9 +276,9 @@ async def go_on(request: Request) -> Response:
     if (refusal := refusal_of(fields, digest, real=real)) is not None:
         try:
             shown = await plans_to_show(rest, request.is_disconnected)
-        except (ClientGone, CancelledError):  # the client, or the dashboard, has gone
+        except (ClientGone, CancelledError):  # the client or the dashboard has gone
             return Response(status_code=499)
-        # Without facts the motion was confirmed before, from where the arm stands, or none is left.
+        # Without facts, the motion from the current pose was confirmed before, or none remains.
         if "error" in shown or shown["facts"]:
             shown = {"error": refusal, "status": 409} | shown
             return await run_in_threadpool(ended_page, request, run, operator=operator, shown=shown)
@@ -283,10 +286,10 @@ async def go_on(request: Request) -> Response:
 
 
 def resumption_of(run: Path, settings: Settings) -> tuple[str, bool]:
-    """Return a digest of what resuming a run executes, and whether a real robot moves.
+    """Return a digest of everything that a resumed run executes, and whether a real robot moves.
 
     Raises:
-        HilError: It cannot be resumed.
+        HilError: The ended run cannot be resumed.
     """
     check_resume(run, settings.runs)
     experiment = load_experiment(run / "spec.yaml", run / "station.yaml")
@@ -294,7 +297,7 @@ def resumption_of(run: Path, settings: Settings) -> tuple[str, bool]:
 
 
 def back_to_run(request: Request) -> Response:
-    """Lead to the page of the run: a reload of the form that `go_on` has shown again."""
+    """Redirect to the page of the run if the form that `go_on` has shown is reloaded."""
     settings = settings_of(request)
     run = require_run(request.path_params["name"], settings)
     return RedirectResponse(run_address(run, settings), 303)
@@ -312,25 +315,25 @@ routes = [
 
 
 def facts_of_run(run: Path, settings: Settings) -> dict[str, Any]:
-    """Return `facts` of the page: of a damaged run, what can still be read.
+    """Return the `facts` that the page shows; for a damaged run, the readable part of the facts.
 
     Args:
-        run: The run directory, see `require_run`.
-        settings: What is served.
+        run: Path of the run directory, from `require_run`.
+        settings: Settings of the dashboard.
     """
     files = {"files": listed_files(run, settings), "report": report_address(run, settings)}
     try:
         os.stat(os.path.join(run, "."))
     except OSError as error:
-        text = f"Its folder cannot be opened: {error.strerror or error}"
+        text = f"The folder of the run cannot be opened: {error.strerror or error}"
         return {"unreadable": text, "name": run.name, **files}
     if not (run / "start.json").is_file() and not (run / "plan.json").is_file():
-        text = "There is neither start.json nor plan.json: nothing was begun here, or it was lost."
+        text = "There is neither start.json nor plan.json: no run began here, or they were lost."
         return {"unreadable": text, "name": run.name, **files}
     try:
         return {**_facts(run, settings), **files}
-    except Exception as error:  # its files are there all the same
-        text = f"What it says cannot be shown: {type(error).__name__}: {error}"
+    except Exception as error:  # the files can still be listed
+        text = f"The run cannot be shown: {type(error).__name__}: {error}"
         return {"unreadable": text, "name": run.name, **files}
 
 
@@ -363,15 +366,15 @@ def _facts(run: Path, settings: Settings) -> dict[str, Any]:
 
 @lru_cache(maxsize=16)
 def _settled_facts(run: Path, stamp: str) -> RunFacts:
-    """Of an interrupted run the recordings are counted, which takes a while: once."""
+    """Return the facts about an ended run; they are cached because counting recordings is slow."""
     return read_facts(run)
 
 
-VIRTUAL = "virtual: simulated, no robot moved; times are those of the simulation"
+VIRTUAL = "virtual: simulated, no robot moved; all times are simulated"
 
 
 def _details(facts: RunFacts) -> Iterator[tuple[str, str]]:
-    """Yield labels and texts; a text is empty if nothing is known."""
+    """Yield pairs of a label and a text; the text is empty if the fact is unknown."""
     start, identity = facts.start, as_object(facts.robot.get("identity"))
     code = facts.stop.get("exit_code")
     yield "description", str(facts.spec.get("description") or "")
@@ -422,7 +425,7 @@ def _recorded(facts: RunFacts) -> str:
 
 
 def _completeness(facts: RunFacts) -> Iterator[dict[str, Any]]:
-    """Yield how much of each part of the program was measured."""
+    """Yield the measured share of each part of the program."""
     for kind, counts in as_object(facts.recorded.get("complete")).items():
         done, of = (as_float(as_object(counts).get(key)) for key in ("done", "of"))
         if of > 0 and done >= 0:
@@ -457,7 +460,7 @@ def _criterion(row: Document) -> dict[str, Any]:
 
 
 def _models(run: Path, settings: Settings) -> Iterator[dict[str, Any]]:
-    """Yield its model folders, and the versions that each was registered as."""
+    """Yield the model folders of a run, each with the registered versions of the model."""
     folders = models_below(run)
     known = registered_models(settings) if folders else {}
     for folder in folders:

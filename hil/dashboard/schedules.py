@@ -1,8 +1,9 @@
-"""Schedules: what is due, the result of all that was due before, and holding a schedule.
+"""Pages of schedules: due occasions, results of earlier occasions, hold and release.
 
-`Schedule` is one that this dashboard knows: it has a state folder with a ledger, or its file is
-among those offered. File and ledger are read separately, so that a damaged one leaves the other to
-be shown. Nothing here runs a schedule; holding and releasing append to its ledger.
+`Schedule` is a schedule that this dashboard knows: the schedule has a state folder with a ledger,
+or its file is one of the offered files. The file and the ledger of a schedule are read separately,
+so that one of the two can be shown if the other is damaged. This module does not run schedules;
+hold and release append an entry to the ledger of a schedule.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ LONGEST_REASON = 500
 
 
 def schedules(request: Request) -> Response:
-    """Show all schedules, and what is due next."""
+    """Show the list of all schedules and their next due occasions."""
     settings = settings_of(request)
     rows = [list_row(one) for one in known_schedules(settings)]
     return page(request, "schedules.html.j2", title="Schedules", schedules=rows)
@@ -92,12 +93,12 @@ def schedule(request: Request) -> Response:
 
 
 async def hold_schedule(request: Request) -> Response:
-    """Let nothing begin until it is released."""
+    """Hold a schedule: nothing begins until it is released."""
     return await _set_hold(request, hold)
 
 
 async def release_schedule(request: Request) -> Response:
-    """Let it go on."""
+    """Release a held schedule."""
     return await _set_hold(request, release)
 
 
@@ -106,14 +107,16 @@ async def _set_hold(
 ) -> Response:
     reason = " ".join((await form_of(request)).get("reason", "").split())[:LONGEST_REASON]
     if not reason:
-        raise SpecError("a reason is wanted", hint="it is kept in the ledger; go back and give one")
+        raise SpecError("a reason is required", hint="go back and enter one for the ledger")
 
     def append() -> Response:
         one = _schedule_named(request.path_params["name"], settings_of(request))
         if one.ledger is None:
             raise DataError(one.problems[0])
         if not one.ledger.lines:
-            raise DataError(f"{one.name} has never been started", hint="hil schedule run FILE")
+            raise DataError(
+                f"{one.name} has never been started", hint="start it with: hil schedule run FILE"
+            )
         act(one.ledger, datetime.now(UTC), reason, operator_of(request))
         return RedirectResponse(one.address, 303)
 
@@ -123,7 +126,7 @@ async def _set_hold(
 def _schedule_named(name: str, settings: Settings) -> Schedule:
     known = {one.name: one for one in known_schedules(settings)}
     if name not in known:
-        hint = did_you_mean(name, known) or "look at /schedules"
+        hint = did_you_mean(name, known) or "see /schedules"
         raise DataError(f"there is no schedule {name}", hint=hint)
     return known[name]
 
@@ -137,7 +140,9 @@ routes = [
 
 DEEPEST = 4
 LOOKED_AT = 2000
-"""Files below the folder of specs; somebody may have named their home."""
+"""Maximum number of files below the folder of specs that are inspected; the folder is possibly a
+home folder.
+"""
 
 COMING = 8
 AHEAD = timedelta(days=28)
@@ -146,15 +151,16 @@ _PLAIN = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """A schedule that has a state here, or whose file is offered.
+    """Schedule with a state folder on this computer or with an offered file.
 
     Attributes:
         name: Name of the schedule.
-        folder: Folder of its state, which may not exist yet.
-        file: Its file; None if no file that is offered is of this schedule.
-        spec: Content of the file; None if it cannot be read.
-        ledger: Its ledger, empty before it is started; None if it is damaged.
-        problems: What cannot be read, and why.
+        folder: Path of the state folder, which possibly does not exist yet.
+        file: Path of the file of the schedule; None if the file is not one of the offered files.
+        spec: Content of the file of the schedule; None if the file cannot be read.
+        ledger: Ledger of the schedule, empty before the first start of the schedule; None if
+            damaged.
+        problems: Messages about errors in the file and in the ledger.
     """
 
     name: str
@@ -166,17 +172,17 @@ class Schedule:
 
     @property
     def address(self) -> str:
-        """Path of its page."""
+        """Path of the dashboard page of the schedule."""
         return f"/schedules/{quoted(self.name)}"
 
     @property
     def zone(self) -> ZoneInfo:
-        """Time zone of its times."""
+        """Time zone in which the schedule is defined."""
         return ZoneInfo(self.spec.timezone if self.spec else "UTC")
 
     @property
     def held(self) -> str:
-        """Why nothing begins; empty if nothing holds it."""
+        """Reason why the schedule is held, so that no job begins; empty if it is not held."""
         if self.ledger is None:
             return "its ledger cannot be read"
         standing = self.ledger.standing
@@ -186,12 +192,12 @@ class Schedule:
 
     @property
     def run_by(self) -> str:
-        """The process that runs it; empty if none does."""
+        """Text that names the process that runs the schedule; empty if no process runs it."""
         holder = holder_of(self.folder / LOCK) if self.folder.is_dir() else None
         return holder.told(self.zone) if holder else ""
 
     def due(self, most: int) -> list[tuple[datetime, str]]:
-        """Return the next occasions that are not settled, as moments (UTC) and jobs."""
+        """Return the next unsettled occasions, as pairs of due time (UTC) and job."""
         if self.spec is None or self.ledger is None:
             return []
         now, standing = datetime.now(UTC), self.ledger.standing
@@ -202,7 +208,7 @@ class Schedule:
 
 
 def known_schedules(settings: Settings) -> list[Schedule]:
-    """Return schedules that have a state, and those whose files are offered, by name."""
+    """Return all schedules with a state folder or with an offered file, sorted by name."""
     files = _files_by_name(settings.specs)
     states = [path for path in folders_in(settings.schedules) if (path / LEDGER_FILE).is_file()]
     names = {path.name for path in states} | set(files)
@@ -210,12 +216,13 @@ def known_schedules(settings: Settings) -> list[Schedule]:
 
 
 def due_next(settings: Settings) -> list[dict[str, Any]]:
-    """Return what is due next, of all schedules that were started, soonest first.
+    """Return the next due occasions of all started schedules, earliest first.
 
     Returns:
-        `name`, `address`, `job` (`probe` or `campaign`), `due` (UTC), `when` (in the schedule's
-        zone, in words), `held` (why it will not be done; empty if nothing holds it) and `run_by`
-        (the process that would do it; empty if none runs the schedule) each.
+        The data of an occasion are `name`, `address`, `job` (`probe` or `campaign`), `due` (UTC),
+        `when` (text in the time zone of the schedule), `held` (reason why the job will not be done;
+        empty if the schedule is not held) and `run_by` (process that would do the job; empty if no
+        process runs the schedule).
     """
     found: list[dict[str, Any]] = []
     for one in known_schedules(settings):
@@ -235,7 +242,7 @@ def due_next(settings: Settings) -> list[dict[str, Any]]:
 
 
 def moment_words(moment: datetime, zone: ZoneInfo) -> str:
-    """Return a moment in words, such as `Sat 28 Nov 2026, 03:00`, in a time zone."""
+    """Return a time as text in a time zone, such as `Sat 28 Nov 2026, 03:00`."""
     return f"{moment.astimezone(zone):%a %d %b %Y, %H:%M}"
 
 
@@ -256,7 +263,7 @@ def _read_schedule(name: str, settings: Settings, file: Path | None) -> Schedule
 
 
 def _files_by_name(specs: Path | None) -> dict[str, Path]:
-    """Return the files of the schedules below a folder, by their names."""
+    """Return the schedule files below a folder, by the name of the schedule."""
     if specs is None:
         return {}
     found: dict[str, Path] = {}
@@ -268,14 +275,17 @@ def _files_by_name(specs: Path | None) -> dict[str, Path]:
 
 def _name_in(entry: os.DirEntry[str]) -> str:
     stat = entry.stat()
-    if stat.st_size >= MOST_BYTES:  # no spec is as large
+    if stat.st_size >= MOST_BYTES:  # larger than any valid spec
         return ""
     return _name_of(Path(entry), stat.st_mtime_ns, stat.st_size)
 
 
 @lru_cache(maxsize=LOOKED_AT)
 def _name_of(path: Path, changed: int, size: int) -> str:
-    """Return the name of the schedule in a file; empty if it is none. Read once per change."""
+    """Return the name of the schedule in a file; empty if the file does not contain a schedule.
+
+    The name is cached until the file changes.
+    """
     try:
         if KEY.encode() not in path.read_bytes():
             return ""
@@ -289,7 +299,7 @@ def _name_of(path: Path, changed: int, size: int) -> str:
 
 
 def _files_below(folder: Path, depth: int = 0) -> Iterator[os.DirEntry[str]]:
-    """Yield the files of a folder first, then those of the folders in it."""
+    """Yield the files in a folder first, then the files in its subfolders."""
     try:
         with os.scandir(folder) as entries:
             found = sorted(entries, key=lambda entry: entry.name)
@@ -305,13 +315,13 @@ def _files_below(folder: Path, depth: int = 0) -> Iterator[os.DirEntry[str]]:
 
 FORESEEN = 12
 MOST_MISSED = 3000
-"""Occasions between the last that is settled and now, above which a page has no forecast."""
+"""Maximum number of unsettled past occasions for which a page shows a forecast."""
 
 MARKS = {"done": "pass", "failed": "fail", "missed": "warn", "held": "warn"}
 
 
 def list_row(one: Schedule) -> dict[str, Any]:
-    """Return a row of the list of schedules."""
+    """Return the row of a schedule in the list of schedules."""
     begun = bool(one.ledger and one.ledger.lines)
     due, lines = one.due(1), one.ledger.lines if one.ledger else []
     last = next((line for line in reversed(lines) if line["event"] in MARKS), None)
@@ -339,17 +349,17 @@ def _summary(line: Line) -> str:
 
 
 def forecast_of(one: Schedule) -> tuple[list[Expected], str]:
-    """Return what would happen next if it ran from now on; or nothing, and why."""
+    """Return the expected occasions from now on, or the reason why there are none."""
     if one.ledger is None:
-        return [], "It cannot be told: the ledger is damaged."
+        return [], "There is no forecast: the ledger is damaged."
     if one.spec is None:
-        return [], "It cannot be told: its file is damaged, or not among those offered here."
+        return [], "There is no forecast: the file is damaged, or not in the folder of specs."
     now, standing = datetime.now(UTC), one.ledger.standing
     if standing.until and standing.anchor:
         missed = occasions(one.spec, standing.anchor, standing.until)
         past = takewhile(lambda each: each.due <= now, missed)
         if sum(1 for _ in islice(past, MOST_MISSED)) >= MOST_MISSED:
-            return [], "Too much was missed to look through it here; hil schedule plan does."
+            return [], "Too many occasions were missed for a forecast here: use hil schedule plan."
     due = one.due(FORESEEN)
     end = due[-1][0] + timedelta(seconds=1) if due else now + timedelta(seconds=1)
     try:
@@ -359,19 +369,19 @@ def forecast_of(one: Schedule) -> tuple[list[Expected], str]:
 
 
 def forecast_row(each: Expected, one: Schedule) -> dict[str, Any]:
-    """Return a row of the forecast."""
+    """Return a row of the table of expected occasions."""
     late = each.begins and each.begins > each.due + timedelta(seconds=59)
     return {
         "due": moment_words(each.due, one.zone),
         "job": each.job + (f" and {each.count - 1} more" if each.count > 1 else ""),
         "missed": each.begins is None,
         "begins": moment_words(each.begins, one.zone) if each.begins and late else "",
-        "why": "gone on with" if each.again and not each.why else each.why,
+        "why": "resumed" if each.again and not each.why else each.why,
     }
 
 
 def open_text(one: Schedule) -> str:
-    """Return the occasion that has begun or waits, in words."""
+    """Return a text about the open occasion, which has begun or is waiting."""
     standing = one.ledger.standing if one.ledger else None
     if standing is None or standing.open is None:
         return ""
@@ -380,7 +390,7 @@ def open_text(one: Schedule) -> str:
 
 
 def history_row(line: Line, one: Schedule, settings: Settings) -> dict[str, Any]:
-    """Return a row of the history."""
+    """Return a row of the table of earlier occasions."""
     result = line.get("result")
     runs = result.get("runs") if isinstance(result, dict) else None
     count = line.get("count")
@@ -408,7 +418,7 @@ def _occasion(line: Line, one: Schedule) -> str:
 
 
 def file_facts(one: Schedule) -> list[tuple[str, str]]:
-    """Return the facts of its file: label and text."""
+    """Return the facts about the file of a schedule, as pairs of label and text."""
     spec = one.spec
     if spec is None:
         return [("state", str(one.folder))]
@@ -416,9 +426,9 @@ def file_facts(one: Schedule) -> list[tuple[str, str]]:
         ("file", str(one.file)),
         ("probe", _trigger(spec.probe, spec.probe.spec) if spec.probe else "none"),
         ("campaign", _trigger(spec.campaign, spec.campaign.spec)),
-        ("when a probe shows a change", "the campaign follows" if spec.campaign.on_drift else ""),
-        ("models", spec.model or "those of the campaign's robot"),
-        ("what could not be done on time", _missed(spec)),
+        ("after a change", "the campaign follows" if spec.campaign.on_drift else ""),
+        ("models", spec.model or "models of the campaign's robot"),
+        ("missed occasions", _missed(spec)),
         ("state", str(one.folder)),
     ]
     return [(label, text) for label, text in found if text]
@@ -432,11 +442,11 @@ def _trigger(trigger: Trigger, spec: str) -> str:
 
 def _missed(spec: ScheduleSpec) -> str:
     within = duration_text(spec.missed_within)
-    return f"done within {within}" if spec.missed == "run" else "left out"
+    return f"done within {within}" if spec.missed == "run" else "skipped"
 
 
 def blackouts_of(spec: ScheduleSpec | None) -> list[dict[str, str]]:
-    """Return rows of its blackouts."""
+    """Return the table rows about the blackout times of a schedule."""
     return [_blackout(one) for one in spec.blackout] if spec else []
 
 
@@ -452,12 +462,12 @@ def _blackout(one: Blackout) -> dict[str, str]:
 
 
 def commands_for(one: Schedule, settings: Settings) -> list[tuple[str, str]]:
-    """Return what can be done in a terminal: words and command."""
+    """Return suitable terminal commands, as pairs of a description and a command."""
     file = shell_word(one.file or "FILE")
     state = f"--state {shell_word(one.folder)}"
     where = f"--registry {shell_word(settings.registry)}"
     runs = f"--runs {shell_word(settings.runs)}"
     return [
-        ("Do what is due, whenever it is:", f"hil schedule run {file} {state} {where} {runs}"),
-        ("Foresee it, with the time its programs take:", f"hil schedule plan {file} {state}"),
+        ("Execute all occasions when due:", f"hil schedule run {file} {state} {where} {runs}"),
+        ("Forecast, with the duration of the programs:", f"hil schedule plan {file} {state}"),
     ]

@@ -1,12 +1,14 @@
-"""Who may look and who may act: host names, a token, the origin of a request, and forms of our own.
+"""Access control: host names, token, origin of requests, and protection of forms.
 
-`Guard` judges every request before anything else does: the name it was sent to, the token, whether
-the dashboard is read-only, the site it comes from. `form_of` reads the fields of a form that one of
-our pages has made.
+`Guard` checks every request first: the host name, the token, whether the dashboard is read-only,
+and the site from which the request comes. `form_of` reads the fields of a form that was sent from a
+page of this dashboard.
 
-A page of another site can make a browser post anything to any address, also on loopback; it can
-neither read our pages nor show what only they know (`Settings.csrf`). A site whose name is made to
-lead here (DNS rebinding) could: a request under a name that is not ours is refused.
+A page of a different site can make a browser send POST requests to any address, including loopback.
+A page of a different site cannot read the pages of this dashboard, and therefore does not know the
+secret in the forms of the dashboard (`Settings.csrf`). A site whose name resolves to this computer
+(DNS rebinding) could read the pages of the dashboard; therefore, a request with an unknown host
+name is rejected.
 """
 
 from __future__ import annotations
@@ -47,15 +49,19 @@ HEADERS = {
 
 
 class Forbidden(Exception):
-    """A request that may not be sent so; not a file that may not be read (OSError)."""
+    """Error for a request that is not allowed in this form.
+
+    A file without read permission raises OSError instead.
+    """
 
 
 class Guard:
-    """ASGI middleware before everything else.
+    """ASGI middleware that checks every request before the application.
 
     Args:
-        app: The application behind it.
-        settings: Host names, token and whether the dashboard is read-only.
+        app: ASGI application to which accepted requests are passed.
+        settings: Settings of the dashboard, of which the host names, the token and `read_only` are
+            used.
     """
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
@@ -63,27 +69,27 @@ class Guard:
         self._settings = settings
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request through, or answer it."""
+        """Pass a request on, or reject it."""
         if scope["type"] == "websocket":
-            await send({"type": "websocket.close", "code": 1008})  # before it is accepted: 403
+            await send({"type": "websocket.close", "code": 1008})  # sent as 403
             return
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        # Names are bytes of any kind, and the server has put U+FFFD for what is not UTF-8.
+        # Names are arbitrary bytes, but the server replaces invalid UTF-8 by U+FFFD.
         if raw := scope.get("raw_path"):
             scope["path"] = os.fsdecode(unquote_to_bytes(raw))
         try:
             refusal = self._refusal(scope)
-        except Exception:  # an error page would show runs to a visitor without the token
-            _LOG.exception("the guard could not judge a request")
-            refusal = _text(400, "this request cannot be understood")
+        except Exception:  # an error page would show runs without a token
+            _LOG.exception("the guard could not check a request")
+            refusal = _text(400, "this request is invalid")
         await (refusal or self._app)(scope, receive, _with_headers(send))
 
     def _refusal(self, scope: Scope) -> Response | None:
         headers = Headers(scope=scope)
         if not self._settings.knows(headers.get("host", "")):
-            return _text(421, "this dashboard is not called by that name; see hil serve --name")
+            return _text(421, "this host name is not allowed; see hil serve --name")
         if (answer := self._token_refusal(scope, headers)) is not None:
             return answer
         if headers.get("upgrade", "").strip().lower() == "websocket":
@@ -91,13 +97,13 @@ class Guard:
         if scope["method"] in SAFE:
             return None
         if self._settings.read_only:
-            return _text(403, "this dashboard is read-only: nothing can be asked of a run here")
+            return _text(403, "this dashboard is read-only: it sends no requests to runs")
         if not _same_origin(headers):
-            return _text(403, "asked by another site: use the pages of the dashboard itself")
+            return _text(403, "request from a different site: use the pages of the dashboard")
         return None
 
     def _token_refusal(self, scope: Scope, headers: Headers) -> Response | None:
-        """Return the answer to a visitor who has not shown the token; None for one who has."""
+        """Return the response to a visitor without a valid token; None if the token is valid."""
         token, cookie = self._settings.token, self._settings.cookie
         if not token or _equal(_cookies(headers).get(cookie, ""), token):
             return None
@@ -105,8 +111,8 @@ class Guard:
             return None
         query = dict(parse_qsl(scope["query_string"].decode("latin-1")))
         if scope["method"] in SAFE and _equal(query.pop("token", ""), token):
-            # Lax: a link in a report, shown in its sandbox, counts as another site's.
-            # Out of the address, so that it stays neither in the history nor in bookmarks.
+            # SameSite is lax because a link in a sandboxed report counts as a different site.
+            # The token is removed from the address to keep it out of history and bookmarks.
             left = f"?{urlencode(query)}" if query else ""
             answer = RedirectResponse(f"{quoted(scope['path'])}{left}", 303)
             answer.set_cookie(
@@ -114,19 +120,19 @@ class Guard:
                 secure=scope["scheme"] == "https",
             )  # fmt: skip
             return answer
-        return _text(401, "open the address that hil serve has printed: it carries the token")
+        return _text(401, "open the address that hil serve has printed: it contains the token")
 
 
 async def form_of(request: Request, *, old: bool = False) -> dict[str, str]:
-    """Return the fields of one of our own forms.
+    """Return the fields of a form on a page of this dashboard.
 
     Args:
-        request: The request with the form.
-        old: Accept it also from a page that an earlier dashboard process made, if the browser sends
-            the origin: an operator who presses Stop must not have to reload first.
+        request: Request with the form.
+        old: Whether to accept a form of an earlier dashboard process if the browser sends the
+            origin, so that an operator can use Stop without a reload.
 
     Raises:
-        Forbidden: It is not of a page of ours, or is too long.
+        Forbidden: The form is not from a page of this dashboard, or it is too long.
     """
     raw = b""
     async for chunk in request.stream():
@@ -136,10 +142,10 @@ async def form_of(request: Request, *, old: bool = False) -> dict[str, str]:
     fields = dict(parse_qsl(raw.decode("utf-8", "replace"), keep_blank_values=True))
     settings: Settings = request.app.state.settings
     shown = fields.pop("csrf", "") or request.headers.get("x-csrf-token", "")
-    ours = old and request.headers.get("origin") is not None  # the guard has compared it
+    ours = old and request.headers.get("origin") is not None  # compared by the guard
     if not (ours or _equal(shown, settings.csrf)):
         raise Forbidden(
-            "the page is older than this dashboard (it was restarted): reload it and ask again"
+            "the page is older than this dashboard (it was restarted): reload it and try again"
         )
     return fields
 
@@ -149,7 +155,7 @@ def _equal(shown: str, secret: str) -> bool:
 
 
 def _same_origin(headers: Headers) -> bool:
-    """Return whether a page of ours sent a request; programs, unlike browsers, send no origin."""
+    """Return whether a request was sent by a page of this dashboard, or without an origin."""
     if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
         return False
     origin = headers.get("origin")
@@ -157,7 +163,7 @@ def _same_origin(headers: Headers) -> bool:
 
 
 def _host_of(origin: str) -> str:
-    """Return host and port of an origin; an empty string if it is not a valid origin."""
+    """Return the host and the port of an origin; an empty string if the origin is invalid."""
     try:
         return urlsplit(origin).netloc
     except ValueError:

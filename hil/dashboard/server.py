@@ -1,9 +1,9 @@
-"""The dashboard's server: the ASGI application of all pages, and the socket that it listens on.
+"""Server of the dashboard: the ASGI application with all pages, and the listening socket.
 
-`create_app` puts the pages' routes behind two middlewares: the guard (`security`) and the limit of
-event streams (`limits`). `serve` runs that application in uvicorn. The process owns nothing that
-has to be saved: pages are views of the disk, and runs are processes of their own, which go on when
-the server ends.
+The function `create_app` combines the routes of the pages with two middlewares: the guard
+(`security`) and the limit of event streams (`limits`). The function `serve` runs this application
+in the server uvicorn. The server process has no state to save: pages show data from the disk, and
+runs are separate processes, which continue after the end of the server.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ def create_app(settings: Settings) -> Starlette:
     """Return the dashboard as an ASGI application.
 
     Args:
-        settings: What it shows, and who may do what.
+        settings: Settings of the dashboard.
     """
-    # Of routes that match, the first answers: the files of a run come before the page of a run,
+    # The first matching route answers. The routes of a run's files must precede the page of a run,
     # whose address may be any text.
     pages = (
         overview,
@@ -93,7 +93,7 @@ def create_app(settings: Settings) -> Starlette:
 
 
 async def _set_operator(request: Request) -> Response:
-    """Keep the operator's name in a cookie; it is recorded with everything they ask of a run."""
+    """Store the operator's name in a cookie; it is recorded with each request to a run."""
     name = (await form_of(request)).get("who", "").strip()[:80]
     answer = RedirectResponse(back(request), 303)
     if name:
@@ -106,18 +106,18 @@ async def _set_operator(request: Request) -> Response:
 
 
 async def _refuse(request: Request, error: Exception) -> Response:
-    # The error page lists live runs, for which the disk is read.
+    # The error page lists live runs, which needs the disk.
     return await run_in_threadpool(error_page, request, error)
 
 
 async def _disconnected(request: Request, error: Exception) -> Response:
-    """Answer a client that has left: no mistake of ours, and no traceback."""
-    _LOG.warning("a client left before its request was whole")
+    """Answer a client that has disconnected, without a traceback."""
+    _LOG.warning("a client disconnected before its request was complete")
     return Response(status_code=499)
 
 
 async def _failed(request: Request, error: Exception) -> Response:
-    """Answer outside of the guard, which is why its headers are added here."""
+    """Answer an unexpected error outside of the guard, hence with the guard's headers."""
     answer = await _refuse(request, error)
     for name, value in HEADERS.items():
         answer.headers.setdefault(name, value)
@@ -130,7 +130,7 @@ ENDED_WITHIN_S = 4.0
 MOST_FILES = 65_536
 
 ENDED_BY_A_SIGNAL = 130
-"""Exit code, as of every command of hil that a signal ends."""
+"""Exit code of every hil command that ends because of a signal."""
 
 LOGGERS = (
     "uvicorn.error",
@@ -139,23 +139,26 @@ LOGGERS = (
     "hil.dashboard.limits",
     "hil.dashboard.security",
 )
-"""Loggers that clients can trigger repeatedly; rate-limited."""
+"""Names of loggers whose messages clients can trigger repeatedly and which are therefore
+rate-limited.
+"""
 
 
 def listen(host: str, port: int | None) -> socket.socket:
-    """Return a socket that listens.
+    """Return a listening socket.
 
     Args:
-        host: Address or name of this computer.
-        port: TCP port, 0 for any; None for 8350 or, where that is taken, one of the next nine.
+        host: Address or host name of this computer.
+        port: TCP port; 0 for any free port; None for port 8350 or, if it is in use, one of the next
+            nine ports.
 
     Raises:
-        RobotConnectionError: The address cannot be listened on.
+        RobotConnectionError: The server cannot listen on the address.
     """
     ports = range(DEFAULT_PORT, DEFAULT_PORT + PORTS_TRIED) if port is None else [port]
     try:
         six = ipaddress.ip_address(host).version == 6
-    except ValueError:  # a name
+    except ValueError:  # host is a name
         six = False
     family = socket.AF_INET6 if six else socket.AF_INET
     problem: OSError | None = None
@@ -167,19 +170,19 @@ def listen(host: str, port: int | None) -> socket.socket:
     assert problem is not None
     where = f"{host}:{port}" if port is not None else f"{host}, ports {ports[0]} to {ports[-1]}"
     raise RobotConnectionError(
-        # Python adds `(while attempting to bind on address …)`, which is said already.
+        # Remove Python's `(while attempting to bind on address …)`.
         f"cannot listen on {where}: {str(problem.strerror or problem).partition(' (while ')[0]}",
-        hint="give another port: hil serve --port 8400 (0 takes any)",
+        hint="use another port: hil serve --port 8400 (0 takes any)",
     ) from problem
 
 
 def serve(settings: Settings, listening: socket.socket, announce: Callable[[str], object]) -> None:
-    """Serve until SIGINT or SIGTERM; runs that were started go on.
+    """Serve pages until SIGINT or SIGTERM; runs that were started continue.
 
     Args:
-        settings: What is shown, and who may do what; its port is that of the socket.
-        listening: The socket, see `listen`.
-        announce: Called with the address to open, see `browser_address`.
+        settings: Settings of the dashboard; the port is replaced by the port of the socket.
+        listening: Listening socket, as returned by `listen`.
+        announce: Callback that receives the address for the browser (see `browser_address`).
     """
     settings = replace(settings, port=listening.getsockname()[1])
     config = uvicorn.Config(
@@ -190,9 +193,9 @@ def serve(settings: Settings, listening: socket.socket, announce: Callable[[str]
         server_header=False,
         timeout_graceful_shutdown=CLOSED_WITHIN_S,
         http=LimitedProtocol,
-        ws="none",  # a request to upgrade is one more request, and meets the guard
+        ws="none",  # the guard handles upgrade requests like any other
     )
-    for name in LOGGERS:  # after uvicorn has set up its own
+    for name in LOGGERS:  # after uvicorn has configured its loggers
         logging.getLogger(name).addFilter(OncePerMinute())
     _allow_many_files()
     announce(browser_address(settings))
@@ -200,7 +203,7 @@ def serve(settings: Settings, listening: socket.socket, announce: Callable[[str]
     close = server.handle_exit
 
     def end(sig: int, frame: FrameType | None) -> None:
-        # A page that never answers must not keep the process: it owns nothing.
+        # A page that never answers must not delay the exit, as there is no state to save.
         last = threading.Timer(ENDED_WITHIN_S, os._exit, (ENDED_BY_A_SIGNAL,))
         last.daemon = True
         last.start()
@@ -211,19 +214,19 @@ def serve(settings: Settings, listening: socket.socket, announce: Callable[[str]
 
 
 def browser_address(settings: Settings) -> str:
-    """Return the address to open in a browser, with the token unless the user has given it."""
+    """Return the address for a browser, with the token, unless the user has chosen the token."""
     host = settings.called[0] if is_wildcard(settings.host) else settings.host
     if ":" in host and not host.startswith("["):
         host = f"[{host}]"
-    # What is printed is kept: by the journal of systemd, say, which others may read.
+    # Printed text may be stored, for example by the journal of systemd, and read by others.
     token = f"?token={settings.token}" if settings.token and not settings.token_given else ""
     return f"http://{host}:{settings.port}/{token}"
 
 
 def _allow_many_files() -> None:
-    """Raise the limit of open files: every connection takes one, and the usual limit is small."""
+    """Raise the limit of open files, because the default limit is too low for many connections."""
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     needed = MOST_FILES if most == resource.RLIM_INFINITY else min(most, MOST_FILES)
     if now != resource.RLIM_INFINITY and now < needed:
-        with contextlib.suppress(ValueError, OSError):  # not allowed here: it stays as it is
+        with contextlib.suppress(ValueError, OSError):  # not allowed: keep the limit
             resource.setrlimit(resource.RLIMIT_NOFILE, (needed, most))

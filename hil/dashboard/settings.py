@@ -1,4 +1,4 @@
-"""Settings of a dashboard: the folders it shows, the address it listens on, and who may do what."""
+"""Settings of a dashboard: folders, listening address, and access rights."""
 
 from __future__ import annotations
 
@@ -26,17 +26,20 @@ class Settings:
     """Settings of one dashboard.
 
     Attributes:
-        runs: The folder of runs.
-        registry: The folder of registered models.
-        specs: Folder below which specs, stations and schedules are offered; None offers none.
-        schedules: Where schedules keep their state, `schedules/NAME` by default.
-        host: Address it listens on.
-        port: Port it listens on; 0 until it is known.
-        names: Host names besides `host` by which browsers may call it.
-        token: Token that a visitor has to show; empty if all who reach it may look.
-        token_given: Whether the user has chosen the token; then it is printed nowhere.
-        read_only: Whether starting, stopping and answering are refused.
-        csrf: Secret in every form of ours, which no other site can read.
+        runs: Path of the folder of runs.
+        registry: Path of the folder of registered models.
+        specs: Folder whose specs, stations and schedules are offered on pages; None if no files are
+            offered.
+        schedules: Folder with the states of schedules, by default one folder `schedules/NAME` for
+            each schedule.
+        host: Listening address.
+        port: Number of the listening port; 0 until the port is known.
+        names: Additional host names under which browsers may access the dashboard.
+        token: Token that a visitor must present; empty if no token is required.
+        token_given: Whether the user has chosen the token; a token chosen by the user is never
+            printed.
+        read_only: Whether requests to start, stop or answer a run are rejected.
+        csrf: Secret that every form contains and that no other site can read.
     """
 
     runs: Path
@@ -53,24 +56,24 @@ class Settings:
 
     @property
     def loopback(self) -> bool:
-        """Return whether only this computer reaches it."""
+        """Whether only this computer can access the dashboard."""
         return is_loopback(self.host)
 
     @property
     def called(self) -> tuple[str, ...]:
-        """Names besides `host`: `names`, and for a wildcard that of this computer."""
+        """Host names in addition to `host`: `names`, and this computer's name for a wildcard."""
         return (*self.names, socket.gethostname()) if is_wildcard(self.host) else self.names
 
     @property
     def cookie(self) -> str:
-        """Name of the token's cookie: with the port, as a browser shares cookies between ports."""
+        """Name of the token's cookie; it contains the port, because ports share their cookies."""
         return f"hil_{self.port}"
 
     def knows(self, host: str) -> bool:
-        """Return whether a `Host` header is a name of ours; a foreign name that leads here attacks.
+        """Return whether a `Host` header contains a known name; other names are possibly an attack.
 
         Args:
-            host: As the browser sent it, with or without a port.
+            host: Value of the `Host` header as sent by the browser, with or without a port.
         """
         called = _HOST.fullmatch(host.lower())
         name = called[1] if called else ""
@@ -80,42 +83,43 @@ class Settings:
             address = ipaddress.ip_address(name.strip("[]"))
         except ValueError:
             return False
-        # An address is not looked up by DNS, so it cannot be made to lead elsewhere.
+        # An IP address needs no DNS lookup, so it cannot be redirected.
         return address.is_loopback or not self.loopback
 
 
 def settings_of(request: Request) -> Settings:
-    """Return the settings of the dashboard that a request has reached."""
+    """Return the settings of the dashboard that has received a request."""
     settings: Settings = request.app.state.settings
     return settings
 
 
 SHORTEST_TOKEN = 16
-"""Characters of a token that cannot be found by trying."""
+"""Minimum number of characters of a token, to prevent brute-force attacks."""
 
 
 def token_for(host: str, chosen: str) -> str:
-    """Return the token that visitors have to show; empty if none is needed.
+    """Return the token that visitors must present; empty if no token is required.
 
     Args:
-        host: Address to listen on. On loopback no token is needed.
-        chosen: The user's token; empty for none, in which case a new one is made.
+        host: Listening address. No token is required on the loopback interface.
+        chosen: Token chosen by the user; if empty, a new token is created.
 
     Raises:
-        SpecError: A whole network could find the user's token by trying.
+        SpecError: The token chosen by the user is too short to resist brute-force attacks from the
+            network.
     """
     if is_loopback(host):
         return chosen
     if chosen and len(chosen) < SHORTEST_TOKEN:
         raise SpecError(
-            f"$HIL_TOKEN has {len(chosen)} characters, and whoever reaches this computer may try",
-            hint=f"give it {SHORTEST_TOKEN} or more: HIL_TOKEN=$(openssl rand -hex 16)",
+            f"$HIL_TOKEN has {len(chosen)} characters: it can be guessed over the network",
+            hint=f"use at least {SHORTEST_TOKEN}: HIL_TOKEN=$(openssl rand -hex 16)",
         )
     return chosen or secrets.token_urlsafe(24)
 
 
 def is_wildcard(host: str) -> bool:
-    """Return whether it stands for every address of this computer; a browser cannot open it."""
+    """Return whether a host means all addresses of the computer, which browsers cannot open."""
     try:
         return not host or ipaddress.ip_address(host).is_unspecified
     except ValueError:

@@ -1,14 +1,16 @@
-"""The start page: its form, the check and the start of what it asks for, and starts without a run.
+"""Start page: form, check and start of a run, and pages of starts that have no run yet.
 
-A form goes through three steps. `read_start_form` refuses what cannot be started before anything is
-planned; it hands out a `StartRequest`. With `do=check` the plan is shown (`plan_preview`), and its
-digests go into the form. With `do=start` the run is started, if it is still what was checked and a
-real robot's motion was confirmed. `Idempotency` sees to it that a form which is sent twice, by a
-double click or a reload, starts one run.
+A start form is processed in three steps. First, `read_start_form` rejects requests that cannot be
+started, before anything is planned; valid requests are returned as a `StartRequest`. If the form
+contains `do=check`, the plan is shown (`plan_preview`), and its digests are added to the form. If
+the form contains `do=start`, the run is started, provided that it is identical to the checked run
+and that the motion of a real robot was confirmed. `Idempotency` ensures that a form that is sent
+two times, by a double click or a reload, starts only one run.
 
-An operator who may start runs may not thereby read this computer. Specs and stations are named from
-the list of `offered_files`, below the folder of `hil serve --specs`. Files that overrides name must
-lie there as well (`require_offered_files`): what a reader of poses cannot use, it quotes.
+The permission to start runs does not include the permission to read files of this computer. Specs
+and stations are selected from the list of `offered_files`, all of which are below the folder of
+`hil serve --specs`. Files named in overrides must also be in this folder (`require_offered_files`),
+because errors about files of poses quote invalid lines.
 """
 
 from __future__ import annotations
@@ -51,16 +53,16 @@ from hil.planning import commissioning_of, moves_for_real
 from hil.workflow import Started, check_start, start_run, started_runs
 
 FIELDS = ("spec", "station", "overrides", "operator", "speed", "first")
-"""Fields that decide what is started."""
+"""Names of the form fields that determine what is started."""
 
 SPEEDS = ("50%", "25%", "10%", "5%")
 
 MOST_STARTS = 5
-"""Starts that the page lists, the newest."""
+"""Number of newest starts that the page lists."""
 
 
 def start_page(request: Request) -> Response:
-    """Show the form, empty or with the spec that the address names."""
+    """Show the start form, empty or with the spec that the address names."""
     return _form(request, {"spec": request.query_params.get("spec", "")})
 
 
@@ -99,11 +101,11 @@ def _row(started: Started, settings: Settings) -> dict[str, Any]:
     runs = started.made
     resumed = started.again is not None
     if runs:
-        text = "goes on" if resumed else "has begun"
+        text = "has resumed" if resumed else "has started"
     elif started.alive:
         text = pending_words(started)
     else:
-        text = "did not go on" if resumed else "did not begin"
+        text = "did not resume" if resumed else "did not start"
     return {
         "id": started.id,
         "spec": name_text(Path(started.spec).name),
@@ -117,7 +119,7 @@ def _row(started: Started, settings: Settings) -> dict[str, Any]:
 
 
 async def check_or_start(request: Request) -> Response:
-    """Check what the form asks for and show the plan, or start it."""
+    """Check the request of the form and show its plan, or start it."""
     fields, settings = await form_of(request), settings_of(request)
 
     async def form(**more: Any) -> Response:
@@ -138,13 +140,13 @@ async def check_or_start(request: Request) -> Response:
         )
     except HilError as error:
         return await form(error=error, status=422)
-    except (ClientGone, CancelledError):  # the client, or the dashboard, has gone: it is not read
+    except (ClientGone, CancelledError):  # no client reads the answer
         return Response(status_code=499)
     return await form(**refused | plans)
 
 
 def _start(asked: StartRequest, fields: Mapping[str, str], settings: Settings) -> str:
-    """Start it, and return the id of the start."""
+    """Start a run and return the identifier of this start."""
 
     def start() -> str:
         return start_run(
@@ -155,14 +157,14 @@ def _start(asked: StartRequest, fields: Mapping[str, str], settings: Settings) -
 
     if not fields.get("once"):
         return start()
-    # With its fields: a form that was changed and sent again is another one, although going back
-    # keeps its hidden token.
+    # The key includes the fields: a form that was changed and sent again is a new request, although
+    # the browser's back button retains its hidden token.
     key = (str(settings.runs), fields["once"], *(fields.get(name, "") for name in FIELDS))
     return STARTS.result(key, start)
 
 
 def started_page(request: Request) -> Response:
-    """Show a start that has no run yet, or never got one; else lead to the page of its run."""
+    """Show a start that has no run, or redirect to the page of its run."""
     settings = settings_of(request)
     started = _started(request.path_params["id"], settings)
     if made := started.made:
@@ -182,24 +184,24 @@ def _started(name: str, settings: Settings) -> Started:
     for one in started_runs(settings.runs):
         if one.id == name:
             return one
-    raise DataError(f"nothing was started as {name}", hint="see /start")
+    raise DataError(f"there is no start {name}", hint="see /start")
 
 
 _HELD = re.compile(
     r"RobotConnectionError: robot (.+?) is held by pid .*, run (.+)\)(?:, still after .*)?"
 )
-"""Message of `hil.robot.lease.leased` about a holder that has a run."""
+"""Pattern of the message of `hil.robot.lease.leased` if the lease belongs to a run."""
 
 
 def lock_owner(last_words: Sequence[str], settings: Settings) -> dict[str, str] | None:
-    """Return `robot`, `name` and `address` of the run that holds the robot a start did not get.
+    """Return `robot`, `name` and `address` of the run that has leased the robot of a failed start.
 
     Args:
-        last_words: Lines with which the start ended.
-        settings: What is served.
+        last_words: Last lines of the output of the failed start.
+        settings: Settings of the dashboard.
 
     Returns:
-        None if no line names a run that is served here.
+        None if no output line names a run of this dashboard.
     """
     for line in last_words:
         if (match := _HELD.fullmatch(line.strip())) is None:
@@ -209,13 +211,13 @@ def lock_owner(last_words: Sequence[str], settings: Settings) -> dict[str, str] 
             if run.is_dir():
                 address, name = run_address(run, settings), run_name(run, settings)
                 return {"robot": match[1], "name": name, "address": address}
-        except (ValueError, OSError):  # in another folder of runs; no path at all
+        except (ValueError, OSError):  # in a different folder of runs, or not a valid path
             continue
     return None
 
 
 async def cancel(request: Request) -> Response:
-    """End a start that has no run yet."""
+    """Cancel a start that has no run yet."""
     await form_of(request)
     name, settings = request.path_params["id"], settings_of(request)
     await in_thread("control", lambda: _started(name, settings).cancel(operator_of(request)))
@@ -233,16 +235,16 @@ routes = [
 KEPT_S = 600.0
 
 MOST_KEPT = 1000
-"""Results kept at the same time; the oldest are forgotten first."""
+"""Maximum number of stored results; the oldest results are removed first."""
 
 
 class Idempotency:
-    """Results of forms, kept for some minutes: one that is sent twice acts once.
+    """Results of forms, stored for some minutes, so that a form that is sent two times acts once.
 
-    Safe from any thread.
+    The class `Idempotency` is thread-safe.
 
     Args:
-        kept_s: How long results are kept [s].
+        kept_s: Time for which the results of forms are stored [s].
     """
 
     def __init__(self, kept_s: float = KEPT_S) -> None:
@@ -251,12 +253,13 @@ class Idempotency:
         self._results: dict[Hashable, tuple[float, Future[str]]] = {}
 
     def result(self, key: Hashable, act: Callable[[], str]) -> str:
-        """Return what `act` returned when this key came first; one that raised is called again.
+        """Return the result of the first call of `act` with a key; call `act` again after an error.
 
         Args:
-            key: Identity of the form and of its fields.
-            act: Called unless it was, or is being, called for this key. Others with the same key
-                wait for its result, and nothing else does.
+            key: Identity of the form and of the values of its fields.
+            act: Function that is called, unless it has been called or is being called for this key.
+                Other calls with the same key wait for the result; calls with other keys do not
+                wait.
         """
         mine: Future[str] = Future()
         with self._lock:
@@ -265,7 +268,7 @@ class Idempotency:
         if first is mine:
             try:
                 mine.set_result(act())
-            except BaseException as error:  # also to those that wait
+            except BaseException as error:  # the calls that wait must get the error as well
                 with self._lock:
                     self._results.pop(key, None)
                 mine.set_exception(error)
@@ -283,11 +286,11 @@ STARTS = Idempotency()
 
 @dataclass(frozen=True, slots=True)
 class StartRequest:
-    """What a form asks for, as it would be started now.
+    """Checked request of a start form, in the form in which it would be started now.
 
     Attributes:
-        digest: See `hil.dashboard.plan_preview.experiments_digest`.
-        real: Whether a real robot would move; its motion has to be confirmed.
+        digest: Digest of the experiments, from `hil.dashboard.plan_preview.experiments_digest`.
+        real: Whether a real robot would move, so that its motion must be confirmed.
     """
 
     spec: Path
@@ -301,7 +304,7 @@ class StartRequest:
 
     @property
     def plan_request(self) -> dict[str, Any]:
-        """What has to be planned, see `hil.dashboard.plan_preview.plan_in_process`."""
+        """Request for a plan, in the form that `plan_preview.plan_in_process` accepts."""
         return {
             "spec": str(self.spec),
             "station": str(self.station or ""),
@@ -312,15 +315,15 @@ class StartRequest:
 
 
 def read_start_form(fields: Mapping[str, str], settings: Settings, operator: str) -> StartRequest:
-    """Return what a form asks for, before anything is planned or started.
+    """Return the request in a start form, before anything is planned or started.
 
     Args:
-        fields: Fields of the form.
-        settings: Says which files are offered.
-        operator: The one at the browser, if the form names none.
+        fields: Fields of the start form.
+        settings: Settings of the dashboard, which define the offered files.
+        operator: Name of the operator at the browser, used if the form contains no operator.
 
     Raises:
-        HilError: It cannot be started.
+        HilError: The request in the form cannot be started.
     """
     spec = offered_file(fields.get("spec", ""), settings, "experiment", "series")
     station_name = fields.get("station", "")
@@ -328,7 +331,7 @@ def read_start_form(fields: Mapping[str, str], settings: Settings, operator: str
     overrides = read_overrides(fields.get("overrides", ""))
     require_offered_files(overrides, spec, settings)
     operator = fields.get("operator", "").strip()[:80] or operator
-    require_text(operator, "the name of who is at the robot")
+    require_text(operator, "the name of the operator")
     speed, first = fields.get("speed", "").strip(), fields.get("first", "").strip()
     experiments = check_start(spec, station, overrides, commissioning_of(speed, first))
     digest = experiments_digest(experiments, speed, first)
@@ -337,47 +340,53 @@ def read_start_form(fields: Mapping[str, str], settings: Settings, operator: str
 
 
 def read_overrides(text: str) -> dict[str, str]:
-    """Return values by dotted path, of lines `path=value`; empty lines are skipped.
+    """Return overrides by dotted path from lines of the form `path=value`; skip empty lines.
 
     Raises:
-        SpecError: A line is no such pair, or has control characters.
+        SpecError: A line does not have the form `path=value`, or contains control characters.
     """
-    require_text(text, "what is laid over the spec", but="\r\n\t")
+    require_text(text, "an override", but="\r\n\t")
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     pairs = [line.partition("=") for line in lines]
     for line, (path, equals, _) in zip(lines, pairs, strict=True):
         if not (equals and path.strip()):
-            raise SpecError(f"{line!r} changes nothing", hint="a line is: excitation.waypoints=20")
+            raise SpecError(
+                f"{line!r} is not an override",
+                hint="write one override per line: excitation.waypoints=20",
+            )
     return {path.strip(): value.strip() for path, _, value in pairs}
 
 
 def require_text(text: str, what: str, *, but: str = "") -> None:
-    """Refuse control characters: no command line takes a NUL, and no name or value needs one.
+    """Raise if a text contains control characters, which no command line, name or value needs.
 
     Args:
-        text: What was typed, or sent by a program.
-        what: Name of the text, for the message.
-        but: Control characters that are allowed.
+        text: Text from a user or from a program.
+        what: Name of the text in the error message.
+        but: Control characters that the text may contain.
 
     Raises:
-        SpecError: It has others.
+        SpecError: The text contains control characters that are not allowed.
     """
     found = sorted({c for c in text if unicodedata.category(c) == "Cc" and c not in but})
     if found:
         listed = ", ".join(f"U+{ord(c):04X}" for c in found)
-        raise SpecError(f"{what} has control characters ({listed})", hint="type it anew")
+        raise SpecError(f"{what} has control characters ({listed})", hint="type it again")
 
 
 LOOKED_AT = 2000
-"""Files below the folder, which may be somebody's home."""
+"""Maximum number of files below the folder of specs that are inspected; the folder is possibly a
+home folder.
+"""
 
 MOST_SPEC_BYTES = 1_000_000
 
 
 def offered_files(settings: Settings, *kinds: str) -> list[str]:
-    """Return the names of the files of some kinds (`experiment`, `series`, `station`).
+    """Return the names of the offered files of some kinds (`experiment`, `series`, `station`).
 
-    Relative to the folder, as text that a form can hold (`hil.core.text.name_text`).
+    The names are relative to the folder of specs and are encoded for a form
+    (`hil.core.text.name_text`).
     """
     if settings.specs is None:
         return []
@@ -388,14 +397,14 @@ def offered_files(settings: Settings, *kinds: str) -> list[str]:
 
 
 def offered_file(name: str, settings: Settings, *kinds: str) -> Path:
-    """Return the file of a name.
+    """Return the path of the offered file with a name.
 
     Raises:
-        SpecError: No file of that name and of these kinds is offered.
+        SpecError: No file with this name and of one of these kinds is offered.
     """
     if settings.specs is None or name not in offered_files(settings, *kinds):
         raise SpecError(
-            f"{name!r} is not offered here", hint=f"offered is what {settings.specs} has"
+            f"{name!r} is not offered here", hint=f"offered are the files in {settings.specs}"
         )
     return settings.specs / name_read(name)
 
@@ -403,7 +412,7 @@ def offered_file(name: str, settings: Settings, *kinds: str) -> Path:
 def _files(folder: Path) -> list[Path]:
     found = []
     for above, folders, names in os.walk(folder):
-        if "start.json" in names:  # a run: its spec.yaml is what it was run with
+        if "start.json" in names:  # a run directory: its spec.yaml is a copy
             folders.clear()
             continue
         folders[:] = sorted(one for one in folders if not one.startswith("."))
@@ -427,7 +436,7 @@ _WORDS = {b"hil": "experiment", b"hil_series": "series", b"hil_station": "statio
 
 @lru_cache(maxsize=LOOKED_AT)
 def _kind(path: Path, changed: int) -> str:
-    """Return the kind that a file says it is of; read once per change."""
+    """Return the kind that a file declares; the kind is cached until the file changes."""
     try:
         found = _KIND.search(path.read_bytes())
     except OSError:
@@ -436,28 +445,30 @@ def _kind(path: Path, changed: int) -> str:
 
 
 FILE_KEYS = ("file",)
-"""Keys of a spec whose values are files (a test looks for others)."""
+"""Keys of a spec whose values are file names; a test detects missing keys."""
 
 PROSE = ("description", "prompt", "name")
-"""Keys whose values are never opened as files."""
+"""Keys of a spec whose values are never opened as files."""
 
 MOST_POSE_FILE_BYTES = 20_000_000
-"""As many poses as a program may have fit into that."""
+"""Maximum size of a file of poses, sufficient for the maximum number of poses in a program."""
 
 
 def require_offered_files(overrides: Mapping[str, str], spec: Path, settings: Settings) -> None:
-    """Refuse values that name files outside of the offered folder, symbolic links followed.
+    """Raise if a value names a file outside the offered folder, after following links.
 
-    Parameters of plug-ins may be files under any key, so every text that is a path is looked at.
-    The message does not reveal whether a file outside exists.
+    Parameters of plug-ins can be files under any key; therefore, every text that is a path is
+    checked. The error message does not reveal whether a file outside the folder exists.
 
     Args:
-        overrides: YAML text by dotted path, as a browser sent it.
-        spec: Spec they are laid over; relative paths start at its folder.
-        settings: Says what is offered.
+        overrides: Values as YAML text by dotted path, as sent by a browser.
+        spec: Path of the spec to which the overrides apply; relative paths are relative to the
+            folder of the spec.
+        settings: Settings of the dashboard, which define the offered folder.
 
     Raises:
-        SpecError: A value is no YAML, or names a file elsewhere or one that is too long.
+        SpecError: A value is not valid YAML, names a file outside the folder, or names a file that
+            is too large.
     """
     for place, text in overrides.items():
         for path, value in _texts(scalar(text, shown(place)), (*place.split("."),)):
@@ -466,19 +477,19 @@ def require_offered_files(overrides: Mapping[str, str], spec: Path, settings: Se
             if not _is_offered(spec.parent, value, settings):
                 raise SpecError(
                     f"{shown('.'.join(path))} names {shown(value)}, which is not in the folder "
-                    "that is offered here",
-                    hint=f"put the file into {settings.specs}, or write it into the spec there",
+                    "of specs",
+                    hint=f"copy the file to {settings.specs}, or name it in a spec there",
                 )
             if path[-1] in FILE_KEYS and _bytes_of(spec.parent / value) > MOST_POSE_FILE_BYTES:
                 raise SpecError(
-                    f"{shown('.'.join(path))} names {shown(value)}, which is too long to be read "
-                    f"here: more than {MOST_POSE_FILE_BYTES // 10**6} MB",
-                    hint="is it the right file? or start it on the command line: `hil run`",
+                    f"{shown('.'.join(path))} names {shown(value)}, which is too large here: more "
+                    f"than {MOST_POSE_FILE_BYTES // 10**6} MB",
+                    hint="check the file, or start it on the command line: `hil run`",
                 )
 
 
 def _texts(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield every text in a value, with its path; an entry of a list has the path of the list."""
+    """Yield every text in a nested value with its path; entries of a list have its path."""
     if isinstance(value, str):
         yield path, value
     elif isinstance(value, dict):
@@ -494,12 +505,12 @@ def _is_offered(folder: Path, name: str, settings: Settings) -> bool:
         return False
     try:
         return (folder / name).resolve().is_relative_to(settings.specs.resolve())
-    except (OSError, ValueError, RuntimeError):  # no file system takes it, or a loop of links
+    except (OSError, ValueError, RuntimeError):  # an invalid path, or a loop of links
         return False
 
 
 def _bytes_of(file: Path) -> int:
     try:
         return file.stat().st_size
-    except OSError:  # its reader raises an error that says so
+    except OSError:  # the reader of the file raises the error
         return 0

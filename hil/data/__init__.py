@@ -1,7 +1,7 @@
-"""Datasets of aligned samples, and pure functions of them: no file is read here.
+"""Datasets of aligned samples, and functions of datasets; no function reads files.
 
-Run directories and files of other tools become datasets in `hil.importers`, which estimators never
-import (docs/explanation/architecture.md).
+The package `hil.importers` converts run directories and files of other tools into datasets.
+Estimators never import `hil.importers` (docs/explanation/architecture.md).
 """
 
 import lazy_loader

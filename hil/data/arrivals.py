@@ -1,11 +1,11 @@
-"""Arrivals: how each joint came to rest before a dwell, over the last millirad of its path.
+"""Arrival paths of static poses: the last millirad of the motion of each joint before a dwell.
 
-Stick friction has a memory. A joint that stops keeps the friction of its last motion, and sliding
-back by a tenth of a millirad takes part of that away. A model may know the measured path into the
-pose, never the current there. The path of every joint begins where it came within `NEAR_RAD` of its
-place of rest for the last time, between two samples if need be. That depends on positions alone,
-so a dwell program, a passive recording and a stream of samples are all treated the same, at any
-sample rate.
+Static friction depends on the motion that precedes a dwell. A joint that stops retains the friction
+of its last motion, and sliding back by a tenth of a millirad reduces this friction. A model may use
+the measured path into the pose as an input, but never the current in the pose. The path of a joint
+begins at the time at which the joint last came within `NEAR_RAD` of its rest position, interpolated
+between samples. This start time depends on positions alone; a dwell program, a passive recording
+and a stream of samples therefore give the same path at any sample rate.
 """
 
 from __future__ import annotations
@@ -17,27 +17,30 @@ import numpy as np
 from hil.core import FloatArray
 
 NEAR_RAD = 1e-3
-"""Where the path begins, measured from the place of rest [rad]."""
+"""Distance from the rest position at which an arrival path begins [rad]."""
 
 ARRIVAL_STEP_S = 0.008
-"""Time between two points of a path [s]."""
+"""Time between two points of an arrival path [s]."""
 
 ARRIVAL_POINTS = 24
-"""Points of a path: deceleration from `NEAR_RAD`, overshoot and slide back take about 0.1 s."""
+"""Number of points in an arrival path.
+
+Deceleration from `NEAR_RAD`, overshoot and sliding back together take about 0.1 s.
+"""
 
 ARRIVAL_Q, ARRIVAL_QD = 0, 1
-"""Index of position and velocity in the third axis of `Dataset.arrivals`."""
+"""Indices of position and velocity in the third axis of `Dataset.arrivals`."""
 
 GAP_S = 0.04
-"""After a longer step in time it is unknown how a joint came to where it is [s]."""
+"""Time step above which the motion between two samples counts as unknown [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """Motion of an arm, sample by sample.
+    """Measured motion of an arm, from which arrival paths are computed.
 
     Attributes:
-        t: (N,) advancing times [s].
+        t: (N,) increasing times [s].
         q, qd: (N, n) positions [rad] and velocities [rad/s].
     """
 
@@ -47,17 +50,17 @@ class Track:
 
 
 def arrival(track: Track, first: float, last: float) -> FloatArray:
-    """Return the path of every joint into one dwell.
+    """Return the arrival path of every joint into one dwell.
 
     Args:
-        track: The motion into the dwell, and the dwell.
-        first: Time from which the arm is at rest [s].
-        last: Time until which it is at rest [s].
+        track: Motion that includes both the approach and the dwell.
+        first: Start time of the dwell [s].
+        last: End time of the dwell [s].
 
     Returns:
-        (`ARRIVAL_POINTS`, 2, n): position relative to the place of rest [rad] and velocity [rad/s];
-        NaN for a joint that has not moved by `NEAR_RAD` since the track began, or since a gap in
-        it.
+        (`ARRIVAL_POINTS`, 2, n) position relative to the rest position [rad] and velocity [rad/s].
+        The path is NaN for a joint that has not moved by `NEAR_RAD` since the start of the track or
+        since the last gap in time.
     """
     t = track.t
     begin, end = np.searchsorted(t, [first, last + 1e-9]).tolist()
@@ -75,13 +78,13 @@ def arrival(track: Track, first: float, last: float) -> FloatArray:
 
 
 _BLOCK_S = 2.0
-"""History is searched backwards in pieces of this length [s]."""
+"""Length of the blocks in which the motion history is searched backwards [s]."""
 
 
 def _last_away(t: FloatArray, q: FloatArray, begin: int, rest: float) -> int | None:
-    """Return the last row before `begin` that is not near `rest`; None if there is none.
+    """Return the last row before `begin` that is farther than `NEAR_RAD` from `rest`.
 
-    None also where there is a gap in time after that row.
+    None is returned if no row is that far from `rest`, or if there is a gap in time after the row.
     """
     stop = begin
     while stop > 0:
@@ -97,8 +100,11 @@ def _last_away(t: FloatArray, q: FloatArray, begin: int, rest: float) -> int | N
 
 
 def _entered(t: FloatArray, q: FloatArray) -> float:
-    """Return when a joint, away in the first of two rows and near in the second, came near [s]."""
-    # Commanded poses may jump: neither row is near, and the joint is there after them.
+    """Return the time at which a joint came near its rest position, between two rows [s].
+
+    In the first of the two rows, the joint is farther than `NEAR_RAD` from the rest position.
+    """
+    # Commanded positions may jump. Then neither row is near, and the joint arrives after both rows.
     if q[0] == q[-1]:
         return float(t[-1])
     beyond = q[0] - np.copysign(NEAR_RAD, q[0])
@@ -106,9 +112,10 @@ def _entered(t: FloatArray, q: FloatArray) -> float:
 
 
 def _resampled(t: FloatArray, values: FloatArray, start: float) -> FloatArray:
-    """Return (`ARRIVAL_POINTS`, k) of values (N, k): every `ARRIVAL_STEP_S` from a time on.
+    """Return (`ARRIVAL_POINTS`, k) values (N, k) at intervals of `ARRIVAL_STEP_S` from `start`.
 
-    The last value is repeated. Where rows are denser, those nearest to a point are averaged.
+    Beyond the end of the values, the last value is repeated. If rows are denser than the resampled
+    points, the rows nearest to a point are averaged.
     """
     times = start + ARRIVAL_STEP_S * np.arange(ARRIVAL_POINTS)
     stop = int(np.searchsorted(t, times[-1] + ARRIVAL_STEP_S)) + 1
@@ -126,10 +133,10 @@ def _resampled(t: FloatArray, values: FloatArray, start: float) -> FloatArray:
 
 
 def approach_directions(paths: FloatArray) -> FloatArray:
-    """Return (D, n) the side each joint came from: +1 below, −1 above, 0 if unknown.
+    """Return (D, n) the approach directions: +1 from below, −1 from above, 0 if unknown.
 
     Args:
-        paths: (D, K, 2, n) as in `Dataset.arrivals`.
+        paths: (D, K, 2, n) arrival paths, as in `Dataset.arrivals`.
     """
     sign: FloatArray = np.nan_to_num(-np.sign(paths[:, 0, ARRIVAL_Q]))
     return sign

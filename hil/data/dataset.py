@@ -1,8 +1,8 @@
-"""Aligned samples with units and conditions: the only thing an estimator ever sees.
+"""Aligned samples with units and conditions: the only input of an estimator.
 
-A `Dataset` is flat: every column holds all rows of all series behind each other, `offsets` says
-where each series begins, and `conditions[i]` says under which conditions series i was recorded.
-A *series* is what must never be torn apart by a split: a whole trajectory, or one dwell.
+A `Dataset` is flat: every column contains the rows of all series in sequence. `offsets` contains
+the first row of each series, and `conditions[i]` contains the conditions of series i. A *series* is
+a whole trajectory or one dwell; a split must never divide a series.
 """
 
 from __future__ import annotations
@@ -17,39 +17,42 @@ from hil.arms import Payload
 from hil.core import BoolArray, DataError, FloatArray, IntArray, card
 
 UPRIGHT = (0.0, 0.0, -9.81)
-"""Gravity in the base frame of an arm that stands on a level table [m/s²]."""
+"""Gravity in the base frame of an arm on a level table [m/s²]."""
 
 MOTION = ("q_f", "qd_f", "qdd_f")
-"""Columns of the smoothed motion, in the order in which a regressor takes them."""
+"""Names of the filtered motion columns, in the order of the arguments of a regressor."""
 
 PREPARED = (*MOTION, "effort_f")
-"""Columns that preprocessing adds (`hil.data.prepare`)."""
+"""Names of the columns that filtering adds (`hil.data.prepare`)."""
 
 OF_JOINTS = frozenset({"q", "qd", "qdd", "effort", *PREPARED})
-"""Columns that a model reads: (N, n) wherever they are."""
+"""Names of the columns that a model reads; each column has the shape (N, n)."""
 
 SeriesKind = Literal["trajectory", "dwell", "move", "warmup", "reference"]
 
 AT_REST: tuple[SeriesKind, ...] = ("dwell", "reference")
-"""Series during which the arm rests: too short to filter, and with nothing to differentiate."""
+"""Kinds of series during which the arm is at rest.
+
+Series of these kinds are too short to filter, and have zero velocity.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Under which conditions one series was recorded.
+    """Conditions under which one series was recorded.
 
     Attributes:
-        id: Unique within the dataset, for tables and messages.
-        kind: What the robot was doing.
-        source: Run directory or file it came from.
-        trajectory: Trajectory number, −1 if none.
-        pose: Pose number, −1 if none.
-        approach: +1 or −1, the direction the pose was approached from; 0 if mixed or unknown.
-        load: Index into the spec's `loads`.
-        payload: The declared load.
-        payload_identified: The load as identified from data, if it was.
-        attempt: Recording attempt, from 0.
-        settled: False when a dwell ran into its time-out before the arm was at rest.
+        id: Identifier of the series for tables and messages, unique within the dataset.
+        kind: Kind of the series, such as a trajectory or a dwell.
+        source: Run directory or file that contains the recording.
+        trajectory: Index of the trajectory; −1 if there is none.
+        pose: Index of the pose; −1 if there is none.
+        approach: Approach direction of the pose, +1 or −1; 0 if mixed or unknown.
+        load: Index of the mounted payload in the list `loads` of the spec.
+        payload: Declared payload.
+        payload_identified: Payload identified from data; None if no payload was identified.
+        attempt: Index of the recording attempt, from 0.
+        settled: Whether the arm was at rest before a dwell reached its time-out.
     """
 
     id: str
@@ -67,22 +70,24 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Samples of one robot.
+    """Aligned samples of one robot.
 
     Attributes:
-        robot: Robot model name or URDF path the recording declares.
-        joint_names: Length n, the order of every (N, n) column.
-        effort_kind: `current` [A] or `torque` [N·m].
+        robot: Robot model name or URDF path that the recording declares.
+        joint_names: Names of the n joints, in the order of every (N, n) column.
+        effort_kind: Kind of the effort: `current` [A] or `torque` [N·m].
         columns: `t` (N,) and any of `q`, `qd`, `qdd`, `effort`, `temperature`, `effort_target`,
-            `q_target`, `torque_target` [N·m], … each (N, n). `t`, `q` and `effort` are always
-            there.
-        offsets: (S + 1,) row at which each series begins; the last entry is N.
-        conditions: One per series, length S.
-        drive_gains: Torque per current [N·m/A], (n,), or None when unknown.
-        drive_gains_source: Where the gains come from.
-        gravity: In the robot's base frame [m/s²]; says how the arm was mounted.
-        arrivals: (S, K, 2, n) how each joint came to rest before each series, see
-            `hil.data.arrival`; NaN for series that are no dwells, None if unknown.
+            `q_target`, `torque_target` [N·m], … each (N, n). The columns `t`, `q` and `effort` are
+            always present.
+        offsets: (S + 1,) index of the first row of each series; the last entry is N.
+        conditions: Recording conditions of each of the S series.
+        drive_gains: (n,) torque per current [N·m/A], or None if unknown.
+        drive_gains_source: Text that states the source of the drive gains.
+        gravity: Gravity vector in the base frame of the robot [m/s²], which defines the mounting of
+            the arm.
+        arrivals: (S, K, 2, n) arrival path of each joint into the rest position of each series, see
+            `hil.data.arrival`; NaN for series that are not dwells, None if no arrival path is
+            known.
     """
 
     robot: str
@@ -133,7 +138,7 @@ class Dataset:
         return f"<Dataset of {self.robot}: {rows} [{self.effort_unit}]>"
 
     def _repr_html_(self) -> str:
-        """Return the dataset's card in a notebook."""
+        """Return an HTML summary of the dataset for a notebook."""
         facts = {
             "samples": f"{len(self):,}",
             "joints": self.n_joints,
@@ -154,33 +159,33 @@ class Dataset:
 
     @property
     def effort_unit(self) -> str:
-        """`A` or `N·m`."""
+        """Unit of the effort: `A` or `N·m`."""
         return "A" if self.effort_kind == "current" else "N·m"
 
     def slices(self) -> Iterator[tuple[Conditions, slice]]:
-        """Yield the conditions and the rows of each series."""
+        """Yield the conditions and the rows of each series of the dataset."""
         for i, condition in enumerate(self.conditions):
             yield condition, slice(int(self.offsets[i]), int(self.offsets[i + 1]))
 
     def series_index(self) -> IntArray:
-        """Return (N,) the number of the series each row belongs to."""
+        """Return (N,) the index of the series to which each row belongs."""
         return np.repeat(np.arange(len(self.conditions)), np.diff(self.offsets))
 
     def select(self, keep: Callable[[Conditions], bool]) -> Dataset:
-        """Return the whole series whose conditions satisfy `keep`, in order."""
+        """Return a dataset of the series whose conditions satisfy `keep`, in order."""
         chosen = [i for i, condition in enumerate(self.conditions) if keep(condition)]
         return self.take(chosen)
 
     def of_kind(self, *kinds: SeriesKind) -> Dataset:
-        """Return the series of these kinds."""
+        """Return a dataset of the series that have one of these kinds."""
         return self.select(lambda condition: condition.kind in kinds)
 
     def with_columns(self, **columns: FloatArray) -> Dataset:
-        """Return a copy with columns added or replaced."""
+        """Return a copy of the dataset with columns added or replaced."""
         return replace(self, columns={**self.columns, **columns})
 
     def take(self, chosen: Sequence[int] | IntArray) -> Dataset:
-        """Return the series of these numbers, in that order."""
+        """Return a dataset of the series with these indices, in the order of the indices."""
         spans = [np.arange(self.offsets[i], self.offsets[i + 1]) for i in chosen]
         rows = np.concatenate(spans) if spans else np.empty(0, dtype=np.int64)
         lengths = [len(span) for span in spans]
@@ -194,13 +199,16 @@ class Dataset:
 
     @staticmethod
     def concatenate(parts: Sequence[Dataset]) -> Dataset:
-        """Return the joined datasets of one robot, without the columns that only some have.
+        """Return the concatenation of several datasets of one robot.
+
+        Columns that are missing in any of the datasets are left out.
 
         Raises:
-            DataError: Joints, effort kind or drive gains differ, or nothing was given.
+            DataError: The list of datasets is empty, or robot, joints, effort kind, gravity or
+                drive gains of the datasets differ.
         """
         if not parts:
-            raise DataError("no data: an empty list of datasets was given")
+            raise DataError("no data: the list of datasets is empty")
         first = parts[0]
         for part in parts[1:]:
             _require_compatible(first, part)
@@ -216,7 +224,10 @@ class Dataset:
 
 
 def _joined_arrivals(parts: Sequence[Dataset]) -> FloatArray | None:
-    """Return all arrivals, NaN for the series of parts without any; None if no part has any."""
+    """Return the arrivals of all parts; NaN for parts without arrivals.
+
+    If no part has arrivals, None is returned.
+    """
     known = [part.arrivals for part in parts if part.arrivals is not None]
     if not known:
         return None
@@ -246,12 +257,12 @@ def _require_compatible(a: Dataset, b: Dataset) -> None:
     ):
         raise DataError(
             "cannot pool data: the sources declare different drive gains",
-            hint="fit them separately, or give the same gains to all: --gains FILE",
+            hint="fit them separately, or use the same drive gains for all: --gains FILE",
         )
 
 
 def rows_of(dataset: Dataset, keep: BoolArray) -> Dataset:
-    """Return the rows of a dataset where `keep` (N,) is true; series may become shorter."""
+    """Return the rows of a dataset for which `keep` (N,) is true; series may become shorter."""
     counts = np.add.reduceat(np.append(keep, False).astype(np.int64), dataset.offsets[:-1])
     counts[np.diff(dataset.offsets) == 0] = 0
     return replace(

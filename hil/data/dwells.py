@@ -1,8 +1,9 @@
-"""Dwells of a recording: the samples during which the arm rested.
+"""Dwells of a recording: phases in which the arm is at rest.
 
-A dwell's useful samples are the last ones before the arm leaves: the friction state has settled
-and the controller has stopped hunting (static paper, section IV.A: ten samples of ≥ 95 ms). A run
-with a plan says which series are dwells; in any other, `find_dwells` detects them by speed.
+Only the last samples of a dwell, before the arm leaves the pose, are used: by then, friction has
+settled, and the controller has stopped oscillating (static paper, section IV.A: ten samples of ≥ 95
+ms). The recording of a run with a plan marks the dwells. In a recording without a plan,
+`find_dwells` detects dwells from the joint speeds.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ SAMPLES_PER_DWELL = 10
 
 @dataclass(frozen=True, slots=True)
 class RestRule:
-    """When an arm counts as being at rest.
+    """Thresholds for the detection of dwells.
 
     Attributes:
         min_s: Shortest dwell [s].
-        samples: How many samples are kept, the last ones of the dwell.
-        speed: Every joint is slower than this [rad/s].
-        drift: No joint is further than this from where it is at the end [rad].
+        samples: Number of samples used, taken from the end of the dwell.
+        speed: Maximum speed of every joint in a dwell [rad/s].
+        drift: Maximum distance of every joint from its final position in a dwell [rad].
     """
 
     min_s: float = 0.095
@@ -43,18 +44,19 @@ def find_dwells(
     samples: int = SAMPLES_PER_DWELL,
     rule: RestRule | None = None,
 ) -> list[slice]:
-    """Return the last `samples` rows of every dwell in a recording that has no plan.
+    """Return the last `samples` rows of every dwell in a recording without a plan.
 
     Args:
         q: (N, n) positions [rad].
-        qd: (N, n) velocities [rad/s]; differentiated from `q` when None.
+        qd: (N, n) velocities [rad/s]; None to compute the velocities from `q`.
         t: (N,) time [s].
         min_s: Shortest dwell [s].
-        samples: Rows kept of each dwell.
-        rule: Thresholds; `min_s` and `samples` replace its own.
+        samples: Number of rows used of each dwell.
+        rule: Thresholds for speed and drift; `min_s` and `samples` replace the values in `rule`.
 
     Returns:
-        Row ranges in order; a dwell shorter than `min_s` or `samples` is not among them.
+        Row ranges of the detected dwells, in the order of time. Dwells shorter than `min_s` or
+        `samples` are not returned.
     """
     chosen = replace(rule or RestRule(), min_s=min_s, samples=samples)
     speed = derivative(q, t) if qd is None else qd
@@ -62,7 +64,7 @@ def find_dwells(
     dwells = []
     for start, stop in _runs(resting):
         first = start + _settled_from(q[start:stop], chosen.drift)
-        # The sample before the first one at rest is half a step away: count whole steps only.
+        # A dwell lasts from its first to its last sample at rest; the tolerance is for rounding.
         long_enough = stop - first >= samples and t[stop - 1] - t[first] >= min_s - 1e-9
         if long_enough:
             dwells.append(slice(stop - samples, stop))
@@ -70,22 +72,22 @@ def find_dwells(
 
 
 def _runs(mask: BoolArray) -> list[tuple[int, int]]:
-    """Return begin and end of every run of true values."""
+    """Return start and stop index of every uninterrupted sequence of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def _settled_from(q: FloatArray, drift: float) -> int:
-    """Return the first row of a dwell from which on every joint stays near its final position."""
+    """Return the first row from which every joint stays near its final position."""
     away = np.flatnonzero(np.max(np.abs(q - q[-1]), axis=1) > drift)
     return int(away[-1]) + 1 if len(away) else 0
 
 
 def dwells_of(dataset: Dataset, rule: RestRule | None = None) -> Dataset:
-    """Return the dwells of a dataset: its dwell series, or those that `find_dwells` detects.
+    """Return the dwell series of a dataset, or the dwells that `find_dwells` detects.
 
-    Detected dwells are numbered as poses in order of appearance. Planned dwells that ran into
-    their time-out are left out.
+    Detected dwells are numbered as poses in the order of time. Planned dwells that reached their
+    time-out are not returned.
     """
     planned = dataset.of_kind("dwell")
     if len(planned.conditions):
@@ -106,7 +108,7 @@ def dwells_of(dataset: Dataset, rule: RestRule | None = None) -> Dataset:
 
 
 def _as_series(dataset: Dataset, spans: list[tuple[Conditions, slice]]) -> Dataset:
-    """Return a dataset in which every span is a dwell series."""
+    """Return a dataset in which every row range of `spans` is a series of kind `dwell`."""
     rows = [np.arange(span.start, span.stop) for _, span in spans]
     picked = np.concatenate(rows) if rows else np.empty(0, dtype=np.int64)
     conditions = tuple(
@@ -123,7 +125,7 @@ def _as_series(dataset: Dataset, spans: list[tuple[Conditions, slice]]) -> Datas
 
 
 def series_means(dataset: Dataset, values: FloatArray) -> FloatArray:
-    """Return (S, n) the mean of `values` (N, n) over each series; NaN for a series without rows."""
+    """Return (S, n) the mean of `values` (N, n) over each series; NaN for an empty series."""
     counts: IntArray = np.diff(dataset.offsets)
     means = np.full((len(counts), values.shape[1]), np.nan)
     filled = counts > 0

@@ -1,14 +1,16 @@
-"""Zero-phase filtering, differentiation and down-sampling, series by series.
+"""Zero-phase filtering, differentiation and down-sampling of each series.
 
-`prepare` adds filtered columns to a dataset, `filter_columns` filters the columns of a regressor
-like the effort, and `downsample` then leaves out the samples that a fit does not need. They share
-settings, low-pass filter and derivatives, defined below.
+`prepare` adds filtered columns to a dataset. `filter_columns` filters the columns of a regressor in
+the same way as the effort. `downsample` leaves out samples that a fit does not need. The functions
+`prepare`, `filter_columns` and `downsample` use the same settings, low-pass filter and derivatives,
+which this module defines.
 
-The defaults are the preprocessing of Mamedov & Mikhel (Front. Robot. AI 7, 2020) for the UR10e,
-confirmed on their recordings: measured velocity filtered by a Butterworth filter of order 5 run
-forwards and backwards at 0.15 of the Nyquist frequency; acceleration by central differences of
-the *filtered* velocity over the true time stamps, filtered once more at 0.15; current filtered at
-0.20; positions left as they are. The preset `paper` is that of the PINN paper.
+The default settings are the preprocessing of Mamedov & Mikhel (Front. Robot. AI 7, 2020) for the
+UR10e, confirmed on their recordings. A Butterworth filter of order 5, run forwards and backwards,
+filters the measured velocity at 0.15 of the Nyquist frequency. The acceleration is the central
+difference of the *filtered* velocity over the true time stamps, and is filtered again at 0.15. The
+current is filtered at 0.20 of the Nyquist frequency, and positions are not filtered. The preset
+`paper` is the preprocessing of the PINN paper.
 """
 
 from __future__ import annotations
@@ -37,29 +39,36 @@ PRESETS: dict[str, dict[str, Any]] = {
         "effort": 50.0,
     }
 }
-"""Section IV of the PINN paper: recorded at 1 kHz, a fifth-order Butterworth filter at 50 Hz
-forwards and backwards over all signals. Which samples it keeps afterwards, it does not say."""
+"""Filter settings by the name of the preset.
+
+The preset `paper` follows section IV of the PINN paper: recording at 1 kHz, and a fifth-order
+Butterworth filter at 50 Hz, run forwards and backwards over all signals. The PINN paper does not
+state which samples are used after the filter.
+"""
 
 
 class FilterSettings(BaseModel):
-    """How a dataset is prepared for identification.
+    """Settings for the preparation of a dataset for identification.
 
-    Validated from a mapping, or from the name of a preset; keys beside `preset` replace its values.
+    The settings are read from a mapping or from the name of a preset, and are validated; keys next
+    to `preset` replace the values of the preset.
 
     Attributes:
-        preset: Source of the settings that are not specified, None for the defaults.
-        order: Order of the Butterworth filter; run twice, it acts with twice the order.
-        unit: Whether cut-offs are fractions of the Nyquist frequency or Hz.
-        position: Cut-off for `q`, None to leave it as measured.
-        velocity: Cut-off for `qd`.
-        acceleration: Cut-off for `qdd`, applied after differentiating the filtered velocity.
-        effort: Cut-off for `effort`, the fitting target.
-        velocity_from: Source of `qd`: as measured (where it was), or the derivative of `q`.
-        derivative: How signals are differentiated.
-        window: Samples in each fit of `savitzky-golay`, odd.
-        degree: Degree of its polynomials.
-        every: A fit uses one filtered sample in so many.
-        rate_hz: The same as a rate: the nearest that whole steps allow. None for `every`.
+        preset: Name of the preset that defines unspecified settings; None for the default settings.
+        order: Order of the Butterworth filter for one pass; the two passes double the order.
+        unit: Unit of the cut-off frequencies: fractions of the Nyquist frequency, or Hz.
+        position: Cut-off frequency for `q`; None for no filter.
+        velocity: Cut-off frequency for `qd`.
+        acceleration: Cut-off frequency for `qdd`, applied after differentiation of the filtered
+            velocity.
+        effort: Cut-off frequency for `effort`, the target of the fit.
+        velocity_from: Source of `qd`: the measured velocity if available, or the derivative of `q`.
+        derivative: Name of the differentiation method.
+        window: Number of samples in each polynomial fit of `savitzky-golay`, odd.
+        degree: Degree of the polynomials of `savitzky-golay`.
+        every: Down-sampling factor k of a fit, which uses one of k filtered samples.
+        rate_hz: Sample rate of a fit [Hz], an alternative to `every`, rounded to an integer
+            down-sampling factor; None to use `every`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -93,12 +102,12 @@ class FilterSettings(BaseModel):
                 f"window: {self.window} samples must be odd and more than the degree {self.degree}"
             )
         if self.every > 1 and self.rate_hz is not None:
-            raise ValueError("every, rate_hz: two ways of saying the same; give one of them")
+            raise ValueError("every, rate_hz: both set the down-sampling; give only one of them")
         return self
 
     @property
     def downsamples(self) -> bool:
-        """Whether a fit leaves samples out."""
+        """Whether a fit uses only some of the samples."""
         return self.every > 1 or self.rate_hz is not None
 
 
@@ -108,12 +117,14 @@ class FilterSettings(BaseModel):
 def prepare(dataset: Dataset, settings: FilterSettings | None = None) -> Dataset:
     """Return the dataset with the columns `q_f`, `qd_f`, `qdd_f`, `effort_f`, each (N, n).
 
-    A missing velocity is differentiated from position. Series at rest (dwells, references) keep
-    their measured position and effort and get zero velocity and acceleration. All rows stay:
-    `downsample` leaves some out, once everything that needs neighbours is computed.
+    A missing velocity is computed from the measured position. Series at rest (dwells, references)
+    keep their measured position and effort; they are assigned zero velocity and acceleration. All
+    rows of the dataset are kept; `downsample` removes rows later, after all computations that need
+    neighbouring rows.
 
     Raises:
-        DataError: A series is too short, holds NaN, or a cut-off is too high for its rate.
+        DataError: A series is too short or contains NaN, or a cut-off is too high for its sample
+            rate.
     """
     chosen = settings or FilterSettings()
     out = {name: np.zeros_like(dataset["q"]) for name in PREPARED}
@@ -135,7 +146,7 @@ def prepare(dataset: Dataset, settings: FilterSettings | None = None) -> Dataset
 def _filter_motion(
     dataset: Dataset, rows: slice, settings: FilterSettings
 ) -> dict[str, FloatArray]:
-    """Return the columns that `prepare` adds, for the rows of one motion."""
+    """Return the filtered columns for the rows of one motion in a dataset."""
     t, q, effort = (dataset[name][rows] for name in ("t", "q", "effort"))
     require_finite("q", q)
     measured = settings.velocity_from == "measured" and "qd" in dataset.columns
@@ -152,7 +163,7 @@ def _filter_motion(
 
 
 def _smooth(name: str, values: FloatArray, t: FloatArray, settings: FilterSettings) -> FloatArray:
-    """Return values filtered with the cut-off of the signal `name`."""
+    """Return the values of a signal after the filter with the cut-off of the signal `name`."""
     try:
         fraction = nyquist_fraction(getattr(settings, name), settings.unit, sample_rate(t))
     except DataError as error:
@@ -167,30 +178,33 @@ def _slope(values: FloatArray, t: FloatArray, settings: FilterSettings) -> Float
 
 
 def _in_series(condition: Conditions, error: DataError) -> DataError:
-    """Return the error with the series in which it occurred."""
+    """Return the error with the id of the series added to its message."""
     return DataError(f"series {condition.id}: {error.message}", hint=error.hint)
 
 
 def is_prepared(dataset: Dataset) -> bool:
-    """Return whether `prepare` has added its columns."""
+    """Return whether a dataset has the filtered columns that `prepare` adds."""
     return set(PREPARED) <= dataset.columns.keys()
 
 
 def filter_columns(values: FloatArray, dataset: Dataset, settings: FilterSettings) -> FloatArray:
-    """Return columns (N, …) filtered as the effort they explain, series by series.
+    """Return regressor columns (N, …) after the effort filter, applied to each series.
 
-    A filter smears the reversals of an effort; unfiltered columns would explain it with biased
-    friction. The same linear filter on both sides of τ = W β leaves β unchanged (parallel
-    filtering; Gautier 1997). Series at rest stay as they are, as their effort does.
+    A filter smooths the steps of an effort at velocity reversals. Together with a filtered effort,
+    unfiltered regressor columns would give biased friction parameters. If the same linear filter is
+    applied to both sides of τ = W β, β does not change (parallel filtering; Gautier 1997). The
+    columns of series at rest are not filtered, because the effort of these series is not filtered
+    either.
 
     Args:
-        values: (N, …), a row per row of the dataset. Call before `downsample`: afterwards, columns
-            with steps are aliased.
-        dataset: Where series begin and how fast they were sampled.
-        settings: Those the effort was filtered with.
+        values: (N, …) columns with one row per row of the dataset. `filter_columns` must be called
+            before `downsample`, because down-sampled columns with steps are aliased.
+        dataset: Dataset that defines the series and their sample rates.
+        settings: Filter settings, of which the effort cut-off is used.
 
     Raises:
-        DataError: A series is too short, holds NaN, or the cut-off is too high for its rate.
+        DataError: A series is too short or contains NaN, or the effort cut-off is too high for its
+            sample rate.
     """
     out = np.array(values, dtype=np.float64)
     for condition, rows in dataset.slices():
@@ -208,7 +222,7 @@ def filter_columns(values: FloatArray, dataset: Dataset, settings: FilterSetting
 
 
 def require_finite(name: str, values: Any) -> None:
-    """Raise if a value is NaN or infinite, with the row and joint of the first one.
+    """Raise if a value is NaN or infinite; the message contains its row and joint.
 
     Raises:
         DataError: A value is not finite.
@@ -222,35 +236,47 @@ def require_finite(name: str, values: Any) -> None:
         )
 
 
-# Low-pass filter and the sample rates it refers to
+# Low-pass filter and sample rates
 
 
 MAX_NYQUIST_FRACTION = 0.8
-"""Above this the bilinear transform squeezes the stop band to nothing."""
+"""Maximum cut-off as a fraction of the Nyquist frequency.
+
+Above this fraction, the bilinear transform of the filter leaves no useful stop band.
+"""
 
 MIN_NYQUIST_FRACTION = 1e-6
-"""Below this nothing passes, and soon the filter cannot be computed."""
+"""Minimum cut-off as a fraction of the Nyquist frequency.
+
+Below this fraction, the filter blocks all signals and becomes numerically unstable.
+"""
 
 CLOCK = 5e-3
-"""Share by which a robot's clock may run slow: 50 Hz is 0.8 of the Nyquist frequency at 125 Hz, and
-has to be allowed at 124.98 Hz."""
+"""Tolerance for the clock rate of a robot, as a share of the rate.
+
+A cut-off of 50 Hz is 0.8 of the Nyquist frequency at 125 Hz, and must also be accepted at 124.98
+Hz.
+"""
 
 PAUSE_STEPS = 3.0
-"""A step in time longer than this many median steps is a pause: no filter may run across it."""
+"""Ratio of a time step to the median time step above which the time step is a pause.
+
+No filter may run across a pause in a recording.
+"""
 
 
 def zero_phase(values: FloatArray, fraction: float, order: int = 5) -> FloatArray:
-    """Return values filtered along axis 0 by a Butterworth low-pass, with zero phase.
+    """Return values filtered along axis 0 by a Butterworth low-pass with zero phase.
 
-    It runs forwards and backwards.
+    The low-pass filter runs forwards and backwards.
 
     Args:
-        values: (N,) or (N, …).
-        fraction: Cut-off as a fraction of the Nyquist frequency.
-        order: Order of one pass.
+        values: (N,) or (N, …) signals.
+        fraction: Cut-off of the filter as a fraction of the Nyquist frequency.
+        order: Order of the filter in one pass.
 
     Raises:
-        DataError: There are too few samples for the filter's edges.
+        DataError: There are too few samples for the transients of the filter.
     """
     from scipy.signal import sosfiltfilt
 
@@ -260,14 +286,17 @@ def zero_phase(values: FloatArray, fraction: float, order: int = 5) -> FloatArra
             f"{len(values)} samples are too few for a zero-phase filter of order {order}",
             hint=f"it needs {needed}; leave the series out or lower the order",
         )
-    sections = _low_pass(order, fraction).copy()  # SciPy does not warrant that it only reads them
+    sections = _low_pass(order, fraction).copy()  # SciPy possibly writes into the array
     filtered: FloatArray = sosfiltfilt(sections, values, axis=0, padlen=needed - 1)
     return filtered
 
 
 @lru_cache(maxsize=64)
 def _low_pass(order: int, fraction: float) -> FloatArray:
-    """Return the sections of a Butterworth filter; to design one takes as long as to run it."""
+    """Return the second-order sections of a Butterworth low-pass filter.
+
+    The filter sections are cached, because the design takes as long as the filtering.
+    """
     from scipy.signal import butter
 
     sections: FloatArray = butter(order, fraction, output="sos")
@@ -275,7 +304,7 @@ def _low_pass(order: int, fraction: float) -> FloatArray:
 
 
 def shortest_series(order: int) -> int:
-    """Return the fewest samples that `zero_phase` of this order accepts."""
+    """Return the minimum number of samples that `zero_phase` accepts for a filter order."""
     return 3 * (order + 1) + 1
 
 
@@ -283,19 +312,19 @@ def nyquist_fraction(cutoff: float, unit: str, rate_hz: float) -> float:
     """Return a cut-off as a fraction of the Nyquist frequency.
 
     Args:
-        cutoff: In `unit`.
-        unit: `nyquist` or `hz`, as in `FilterSettings`.
-        rate_hz: Sample rate [Hz].
+        cutoff: Cut-off frequency in `unit`.
+        unit: Unit of the cut-off, `nyquist` or `hz`, as in `FilterSettings`.
+        rate_hz: Sample rate of the signal [Hz].
 
     Raises:
-        DataError: It lies above 0.8 of the Nyquist frequency, or below a millionth.
+        DataError: The cut-off is above 0.8 or below one millionth of the Nyquist frequency.
     """
     fraction = cutoff if unit == "nyquist" else cutoff / (0.5 * rate_hz)
     if 0 < fraction < MIN_NYQUIST_FRACTION:
         raise DataError(
-            f"a cut-off at {cutoff:.4g} {unit} lets nothing through of samples at {rate_hz:.4g} Hz",
-            hint="look at the unit of the time stamps: they have to be seconds; or raise the "
-            "cut-off",
+            f"a cut-off at {cutoff:.4g} {unit} removes the whole signal at a sample rate of "
+            f"{rate_hz:.4g} Hz",
+            hint="check the unit of the time stamps, which must be seconds, or raise the cut-off",
         )
     if not 0 < fraction <= MAX_NYQUIST_FRACTION * (1 + CLOCK):
         highest = 0.5 * MAX_NYQUIST_FRACTION * rate_hz
@@ -308,14 +337,14 @@ def nyquist_fraction(cutoff: float, unit: str, rate_hz: float) -> float:
 
 
 def sample_rate(t: FloatArray) -> float:
-    """Return the mean sample rate [Hz] of time stamps (N,), pauses left out.
+    """Return the mean sample rate [Hz] of time stamps (N,), without pauses.
 
-    `is_pause` says what a pause is; series read from recordings hold none. The mean is used
-    because stamps of millisecond resolution alternate (10 ms, 12 ms), so their median is off by
-    several per cent.
+    `is_pause` defines which time steps are pauses; series from recordings contain no pauses. The
+    median of the time steps is not used, because time stamps with a resolution of 1 ms alternate
+    (10 ms, 12 ms), so that their median is wrong by several per cent.
 
     Raises:
-        DataError: Fewer than two samples, or time does not increase.
+        DataError: There are fewer than two samples, or the time stamps do not increase.
     """
     steps = np.diff(t)
     if len(steps) == 0 or not np.all(steps > 0):
@@ -327,27 +356,27 @@ def sample_rate(t: FloatArray) -> float:
 
 
 def is_pause(steps: FloatArray) -> BoolArray:
-    """Return (M,) which of the steps in time (M,) between successive samples are pauses."""
+    """Return (M,) whether each of the time steps (M,) between successive samples is a pause."""
     if not len(steps):
         return np.zeros(0, dtype=bool)
     longer: BoolArray = steps > PAUSE_STEPS * np.median(steps)
     return longer
 
 
-# Derivatives, over the time stamps as they are
+# Derivatives over the true time stamps
 
 
 _BLOCK = 8192
-"""Samples whose polynomials are fitted at once; bounds memory on long series."""
+"""Number of samples whose polynomials are fitted at the same time; bounds the memory use."""
 
 
 def derivative(values: FloatArray, t: FloatArray) -> FloatArray:
     """Return the time derivative along axis 0 by central differences over uneven time stamps.
 
-    Second order inside, one-sided at both ends.
+    The differences are of second order inside the series and one-sided at the two ends.
 
     Raises:
-        DataError: Time does not increase strictly.
+        DataError: The time stamps do not increase strictly.
     """
     _require_increasing(t)
     slope: FloatArray = np.gradient(values, t, axis=0)
@@ -357,21 +386,23 @@ def derivative(values: FloatArray, t: FloatArray) -> FloatArray:
 def polynomial_derivative(
     values: FloatArray, t: FloatArray, window: int, degree: int
 ) -> FloatArray:
-    """Return the time derivative along axis 0 of a polynomial fitted about every sample.
+    """Return the time derivative along axis 0 of a polynomial fitted around every sample.
 
-    On even stamps that is the filter of Savitzky & Golay (Anal. Chem. 36, 1964). Here each fit
-    is over the true times: stamps that alternate (10 ms, 12 ms) taken for even ones would put
-    their alternation, times the speed, into the derivative. Towards the ends of the series the
-    window stays inside and the polynomial is differentiated off its middle.
+    For evenly spaced time stamps, the differentiation is the filter of Savitzky & Golay (Anal.
+    Chem. 36, 1964). In this function, each fit uses the true times. If alternating time stamps (10
+    ms, 12 ms) were treated as even, the derivative would contain an error of their alternation
+    times the velocity. Near the ends of the series, the window of samples stays inside the series,
+    so that the polynomial is differentiated away from its centre.
 
     Args:
-        values: (N,) or (N, n).
-        t: (N,).
-        window: Samples per fit, odd, more than `degree`.
-        degree: Of the polynomials.
+        values: (N,) or (N, n) signals.
+        t: (N,) time [s].
+        window: Number of samples per fit; odd and larger than `degree`.
+        degree: Degree of the fitted polynomials.
 
     Raises:
-        DataError: Time does not increase strictly, or there are fewer samples than the window.
+        DataError: The time stamps do not increase strictly, or there are fewer samples than
+            `window`.
     """
     _require_increasing(t)
     if len(t) < window:
@@ -392,9 +423,9 @@ def polynomial_derivative(
 def _slope_weights(
     t: FloatArray, rows: IntArray, first: IntArray, window: int, degree: int
 ) -> FloatArray:
-    """Return (R, window) weights of the samples in the slope at each row."""
+    """Return (R, window) the weights of the samples in the derivative for each row."""
     time = t[first[:, None] + np.arange(window)] - t[rows, None]
-    # Times of the order of 1 keep the normal equations well conditioned.
+    # Times are scaled to the order of 1, so that the normal equations are well conditioned.
     scale = 0.5 * (time[:, -1] - time[:, 0])
     powers = (time / scale[:, None])[..., None] ** np.arange(degree + 1)
     gram = np.swapaxes(powers, 1, 2) @ powers
@@ -412,25 +443,26 @@ def _require_increasing(t: FloatArray) -> None:
         )
 
 
-# Down-sampling: after the low-pass filter, neighbours say nearly the same
+# Down-sampling: after the low-pass filter, neighbouring samples are nearly equal
 
 
 _STRIDE = "stride"
-"""Column (N,) of a down-sampled dataset: how many recorded samples each row stands for."""
+"""Name of the column (N,) with the down-sampling factor of each remaining row."""
 
 
 def downsample(dataset: Dataset, settings: FilterSettings) -> Dataset:
-    """Return the rows a fit uses: one in so many of each motion, counted from its first.
+    """Return the rows that a fit uses: every k-th row of each motion, beginning with its first row.
 
-    For fits only: predictions are of every row. Columns computed from neighbouring samples
-    (filtered ones, states of friction) are added before.
+    Only fits use down-sampled data; predictions are computed for every row. Columns that depend on
+    neighbouring samples (filtered columns, friction states) must be added before down-sampling.
 
     Args:
-        dataset: Prepared with the same settings.
-        settings: Their `every` or `rate_hz`; without either all rows stay.
+        dataset: Dataset that was prepared with the same filter settings.
+        settings: Filter settings with `every` or `rate_hz`; without these values, all rows are
+            returned.
 
     Raises:
-        DataError: The remaining samples are too few for what the filters let through.
+        DataError: The sample rate after down-sampling is too low for the cut-offs of the filters.
     """
     if not settings.downsamples:
         return dataset
@@ -439,10 +471,12 @@ def downsample(dataset: Dataset, settings: FilterSettings) -> Dataset:
 
 
 def downsampling_mask(dataset: Dataset, settings: FilterSettings) -> BoolArray:
-    """Return (N,) which rows `downsample` keeps; all of dwells and references.
+    """Return (N,) a mask of the rows that `downsample` returns.
+
+    All rows of dwells and references are returned.
 
     Raises:
-        DataError: The remaining samples are too few for what the filters let through.
+        DataError: The sample rate after down-sampling is too low for the cut-offs of the filters.
     """
     return _mask(dataset, _strides(dataset, settings))
 
@@ -453,7 +487,7 @@ def _mask(dataset: Dataset, strides: FloatArray) -> BoolArray:
 
 
 def _strides(dataset: Dataset, settings: FilterSettings) -> FloatArray:
-    """Return (N,) of how many samples of its series one stays."""
+    """Return (N,) the down-sampling factor of the series to which each row belongs."""
     strides = np.ones(len(dataset))
     for condition, rows in _motions(dataset):
         strides[rows] = _stride(condition, sample_rate(dataset["t"][rows]), settings)
@@ -461,19 +495,19 @@ def _strides(dataset: Dataset, settings: FilterSettings) -> FloatArray:
 
 
 def _stride(condition: Conditions, rate: float, settings: FilterSettings) -> int:
-    """Return of how many samples one stays, in a series sampled at `rate` [Hz]."""
+    """Return the down-sampling factor of a series with sample rate `rate` [Hz]."""
     every = settings.every
     if settings.rate_hz is not None:
         every = max(1, round(rate / settings.rate_hz))
     present = (settings.velocity, settings.acceleration, settings.effort, settings.position)
     highest = max(cutoff for cutoff in present if cutoff is not None)
     passed = highest * 0.5 * rate if settings.unit == "nyquist" else highest
-    # The same bound as that of the filter: what is beyond would come back as a lower frequency.
+    # The bound equals that of the filter, because higher frequencies would be aliased.
     most = max(1, int(MAX_NYQUIST_FRACTION * 0.5 * rate / passed * (1 + CLOCK)))
     if every > most:
         raise DataError(
             f"series {condition.id}: one sample in {every} at {rate:.4g} Hz is too few for "
-            f"signals filtered at {passed:.4g} Hz",
+            f"signals with a cut-off of {passed:.4g} Hz",
             hint=f"keep one in {most} (every: {most}, or rate_hz: {rate / most:.4g}), "
             "or lower the cut-offs",
         )
@@ -481,15 +515,15 @@ def _stride(condition: Conditions, rate: float, settings: FilterSettings) -> int
 
 
 def _stride_of(dataset: Dataset, rows: slice) -> float:
-    """Return how many recorded samples each row of a series stands for: 1 before `downsample`."""
+    """Return the down-sampling factor of the rows of a series; 1 if not down-sampled."""
     return float(dataset.columns[_STRIDE][rows.start]) if _STRIDE in dataset.columns else 1.0
 
 
 def motion_rates(dataset: Dataset) -> list[tuple[float, str]]:
-    """Return samples per second and id of every series of at least two samples that moves.
+    """Return the sample rate [Hz] and id of every series in motion with at least two samples.
 
     Raises:
-        DataError: Time does not increase.
+        DataError: The time stamps of a series do not increase.
     """
     rates = []
     for condition, rows in _motions(dataset):
@@ -501,7 +535,7 @@ def motion_rates(dataset: Dataset) -> list[tuple[float, str]]:
 
 
 def _motions(dataset: Dataset) -> list[tuple[Conditions, slice]]:
-    """Return the series that move and have at least two samples."""
+    """Return the conditions and rows of the series in motion that have at least two samples."""
     return [
         (condition, rows)
         for condition, rows in dataset.slices()

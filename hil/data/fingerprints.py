@@ -1,6 +1,7 @@
-"""Fingerprints of samples and poses: do two recordings hold the same samples, or the same motion?
+"""Fingerprints of samples and poses, used to detect shared samples or repeated motions.
 
-Names do not say it: the same recording may be copied, cut or imported twice, and its clock shifted.
+File names are not sufficient to detect shared samples: a recording may be copied, cut or imported
+twice, or its clock may be shifted.
 """
 
 from __future__ import annotations
@@ -17,14 +18,17 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 DECIMALS = 6
-"""Decimals to which positions [rad] and efforts are compared: units converted twice still agree."""
+"""Number of decimals to which positions [rad] and efforts are compared.
+
+Values that were converted between units twice still agree to this number of decimals.
+"""
 
 
 def fingerprints(dataset: Dataset) -> IntArray:
-    """Return the distinct rows of a dataset as sorted numbers, one each.
+    """Return one hash per distinct row of a dataset, sorted.
 
-    Position and effort count. Time does not, since a copy may begin at another time; rows that an
-    arm at rest repeats count once.
+    The hash of a row depends on position and effort. The hash ignores time, because a copy of a
+    recording may begin at a different time. Several equal rows of a static arm count as one row.
     """
     values = np.round(np.hstack([dataset["q"], dataset["effort"]]), DECIMALS) + 0.0
     bits = np.ascontiguousarray(values, dtype=np.float64).view(np.int64)
@@ -38,16 +42,16 @@ def fingerprints(dataset: Dataset) -> IntArray:
 
 
 SKETCH_ROWS = 4096
-"""Fingerprints stored of a training set: all of a small one, a fair draw of a large one."""
+"""Maximum number of fingerprints stored for a training set; larger sets are sampled randomly."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sketch:
-    """Fingerprints of a dataset in bounded memory: the smallest ones (bottom-k sampling).
+    """Fingerprints of a dataset in bounded memory: the smallest hashes (bottom-k sampling).
 
     Attributes:
-        smallest: At most `SKETCH_ROWS` fingerprints, sorted.
-        complete: They are all there are.
+        smallest: At most `SKETCH_ROWS` fingerprints, in ascending order.
+        complete: Whether the sketch contains all fingerprints of the dataset.
     """
 
     smallest: IntArray
@@ -55,12 +59,12 @@ class Sketch:
 
     @staticmethod
     def of(dataset: Dataset) -> Sketch:
-        """Return the sketch of a dataset."""
+        """Return the sketch of the fingerprints of a dataset."""
         rows = fingerprints(dataset)
         return Sketch(rows[:SKETCH_ROWS], len(rows) <= SKETCH_ROWS)
 
     def share_known(self, dataset: Dataset) -> float:
-        """Return the estimated share of a dataset's distinct rows that the sketched one holds."""
+        """Return the estimated share of a dataset's distinct rows that are in this sketch."""
         rows = fingerprints(dataset)
         if not self.complete:
             rows = rows[rows <= self.smallest.max()]
@@ -68,23 +72,24 @@ class Sketch:
 
 
 SAME_PLACE_RAD = 0.02
-"""Two poses that differ by less in every joint are the same for a model."""
+"""Joint difference below which two poses count as the same pose [rad]."""
 
 PLACES = 200
-"""Poses per series that are looked up, evenly spread over its path."""
+"""Number of poses per series that are compared, evenly spaced along its path."""
 
 KNOWN_ROWS = 100_000
-"""Training rows that are searched."""
+"""Maximum number of training rows that are searched for poses."""
 
 
 def revisited(train: Dataset, test: Dataset) -> dict[str, float]:
-    """Return how much of each test series leads through poses of the training data.
+    """Return the share of each test series whose poses also occur in the training data.
 
-    Equal programs on two arms, or repeated under two loads, share no sample and yet every pose.
+    The same program on two arms, or with two payloads, shares no samples but all poses.
 
     Returns:
-        Series id → share (0…1) of the poses, evenly spread over the path of the series, for which
-        the training data hold one within `SAME_PLACE_RAD` in every joint.
+        Share (0…1) of repeated poses by series id. The share of a series is based on poses evenly
+        spaced along its path. A pose counts as repeated if the training data contain a pose within
+        `SAME_PLACE_RAD` in every joint.
     """
     from scipy.spatial import cKDTree
 
@@ -105,11 +110,14 @@ def _share_near(tree: cKDTree, places: FloatArray) -> float:
 
 
 def _places(q: FloatArray) -> FloatArray:
-    """Return rows of one series at equal distances along its path, so that rest counts once."""
+    """Return rows of one series at equal distances along its path.
+
+    Phases at rest therefore count as one row.
+    """
     q = q[np.all(np.isfinite(q), axis=1)]
     if not len(q):
         return q
-    # Steps below a tenth of a milliradian are noise of the encoder, not motion.
+    # Steps below a tenth of a milliradian are encoder noise.
     steps = np.max(np.abs(np.diff(q, axis=0)), axis=1)
     way = np.concatenate(([0.0], np.cumsum(np.where(steps > 1e-4, steps, 0.0))))
     rows = np.searchsorted(way, np.linspace(0.0, way[-1], PLACES))

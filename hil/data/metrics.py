@@ -1,11 +1,13 @@
-"""Error measures per joint, and the error of the trivial observer.
+"""Error measures per joint, and error of the trivial predictor.
 
-The measures take measured and predicted efforts (N, n) and return (n,); without a single row they
-return NaN.
+The measures are functions of measured and predicted efforts (N, n) and return one value per joint
+(n,); the value is NaN if there are no rows.
 
-The trivial observer repeats what was measured a moment ago (`persistence`). A model that has past
-torque among its inputs must have a smaller error: at 1 kHz, and after filters without phase shift,
-which put the future into the past, torque a few milliseconds old is nearly the answer.
+The trivial predictor repeats a recently measured value (`persistence`). A model with past torque
+among its inputs must have a smaller error than the trivial predictor. At 1 kHz, the torque changes
+little within a few milliseconds, so the error of the trivial predictor is small. Filters without
+phase shift reduce the error of the trivial predictor further, because their output contains future
+values.
 """
 
 from __future__ import annotations
@@ -27,10 +29,11 @@ def rmse(measured: FloatArray, predicted: FloatArray) -> FloatArray:
 def nrmse(
     measured: FloatArray, predicted: FloatArray, scale: FloatArray | None = None
 ) -> FloatArray:
-    """Return the RMSE over `scale` (n,), by default the standard deviation of the measured signal.
+    """Return the RMSE divided by `scale` (n,).
 
-    1 is what predicting the mean would reach. Give the training signal's standard deviation as
-    `scale` to compare trajectories of different vigour; a joint without signal gets NaN.
+    The default for `scale` is the standard deviation of the measured signal; an NRMSE of 1 is then
+    the error of predicting the mean. The standard deviation of the training signal is often used as
+    `scale` for trajectories of different amplitude. The value is NaN for a joint without signal.
     """
     if len(measured) == 0:
         return np.full(measured.shape[1], np.nan)
@@ -41,9 +44,10 @@ def nrmse(
 
 
 def mep(measured: FloatArray, predicted: FloatArray) -> FloatArray:
-    """Return the maximum error percentage: largest error over the largest measured magnitude [%].
+    """Return the maximum error percentage: largest error over largest measured magnitude [%].
 
-    The PINN paper names the measure (its Fig. 7b) without defining it; this is the usual meaning.
+    The PINN paper names the maximum error percentage (its Fig. 7b) but does not define it; the
+    definition used here is the usual definition.
     """
     if len(measured) == 0:
         return np.full(measured.shape[1], np.nan)
@@ -53,7 +57,7 @@ def mep(measured: FloatArray, predicted: FloatArray) -> FloatArray:
 
 
 def correlation(measured: FloatArray, predicted: FloatArray) -> FloatArray:
-    """Return Pearson's R between measured and predicted; NaN where either does not vary."""
+    """Return Pearson's R between measured and predicted values; NaN for a constant signal."""
     if len(measured) < 2:
         return np.full(measured.shape[1], np.nan)
     a, b = measured - measured.mean(axis=0), predicted - predicted.mean(axis=0)
@@ -61,29 +65,31 @@ def correlation(measured: FloatArray, predicted: FloatArray) -> FloatArray:
     return np.where(size > 0, np.sum(a * b, axis=0) / np.where(size > 0, size, 1.0), np.nan)
 
 
-# The trivial observer
+# The trivial predictor
 
 
 _ROUNDING_S = 1e-6
-"""Time stamps that differ by less are the same: 20 steps of 1 ms are 20 ms."""
+"""Tolerance [s] within which time stamps are equal, such that 20 steps of 1 ms are 20 ms."""
 
 
 def persistence(dataset: Dataset, latency_s: float, column: str = "effort") -> FloatArray:
-    """Return (N, n) the newest value that is at least `latency_s` old; NaN before there is one.
+    """Return (N, n) the newest value that is at least `latency_s` old; NaN before the first value.
 
     Args:
-        dataset: Series by series; nothing is carried over from one to the next.
-        latency_s: Age of the newest value that is known [s], above 0.
-        column: The values to repeat.
+        dataset: Dataset with the values; each series is treated separately.
+        latency_s: Minimum age of the newest available value [s], above 0.
+        column: Name of the column whose values are repeated.
 
     Raises:
-        SpecError: The latency is not above 0: that would be the answer itself.
-        DataError: There is no such column.
+        SpecError: The latency is not above 0; for 0, the prediction would be the measured value
+            itself.
+        DataError: The dataset has no column of the requested name.
     """
     if not (np.isfinite(latency_s) and latency_s > 0):
         raise SpecError(
-            f"a latency of {latency_s!r} s is none",
-            hint="state how old the newest torque is when a prediction is made, 0.02 for 20 ms",
+            f"the latency is {latency_s!r} s, but must be above 0",
+            hint="state the age of the newest torque at the time of a prediction, such as 0.02 "
+            "for 20 ms",
         )
     values = dataset[column]
     repeated = np.full_like(values, np.nan, dtype=np.float64)
@@ -98,13 +104,13 @@ def persistence(dataset: Dataset, latency_s: float, column: str = "effort") -> F
 def persistence_rmse(
     dataset: Dataset, latency_s: float, column: str = "effort", rows: BoolArray | None = None
 ) -> FloatArray:
-    """Return (n,) the RMSE of `persistence` where it has a value, in the unit of the column.
+    """Return (n,) the RMSE of `persistence` on the rows with a value, in the unit of the column.
 
     Args:
-        dataset: The data to judge on.
-        latency_s: See `persistence`.
-        column: The values to repeat and to compare with.
-        rows: (N,) rows to judge; all by default.
+        dataset: Evaluation data.
+        latency_s: Minimum age of the newest available value [s], as in `persistence`.
+        column: Name of the column whose values are repeated and compared.
+        rows: (N,) mask of the rows to evaluate; None for all rows.
     """
     repeated = persistence(dataset, latency_s, column)
     judged = np.all(np.isfinite(repeated), axis=1)

@@ -1,4 +1,4 @@
-"""Predictions: what every model returns, for a whole dataset or one sample at a time."""
+"""Predictions of fitted models, for a whole dataset or for one sample at a time."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from hil.data.dataset import Dataset
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Predicted efforts in the unit of the dataset they were predicted for.
+    """Predicted efforts of a model, in the effort unit of the dataset.
 
     Attributes:
-        effort: (N, n).
-        components: Named parts that add up to `effort` (`gravity`, `inertia`, `friction`, …).
-        std: (N, n) one standard deviation, NaN where the model cannot say.
-        valid: (N, n) false where the model must not be used (warm-up of its memory, outside
-            the range it was fitted on).
+        effort: (N, n) predicted effort.
+        components: Effort components by name, whose sum is `effort` (`gravity`, `inertia`,
+            `friction`, …).
+        std: (N, n) standard deviation of the prediction; NaN if the model does not provide it.
+        valid: (N, n) mask that is false for rows in which the model is not valid (warm-up of its
+            memory, or outside the range of the training data).
     """
 
     effort: FloatArray
@@ -29,21 +30,21 @@ class Prediction:
 
 
 class Stream(Protocol):
-    """A model fed one sample at a time; friction memory starts afresh with every stream."""
+    """Predictor that receives one sample at a time; each stream has a separate friction memory."""
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Return the predicted effort (n,) for one sample, each input (n,)."""
+        """Return the predicted effort (n,) for one sample; each input has the shape (n,)."""
 
 
 class Model(Protocol):
-    """A fitted model: what `Estimator.fit` returns and the registry stores."""
+    """Interface of a fitted model, as returned by `Estimator.fit` and stored in the registry."""
 
     @property
     def estimator(self) -> str:
         """Name under which the estimator is registered (`hil.estimators`)."""
 
     def predict(self, dataset: Dataset) -> Prediction:
-        """Return predictions of all rows; friction memory is reset at the start of every series."""
+        """Return the predictions of all rows; every series starts without friction memory."""
 
     def stream(self) -> Stream:
         """Return a predictor for one sample at a time."""

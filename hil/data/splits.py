@@ -1,14 +1,14 @@
-"""Splits of a dataset into what is fitted on and what is judged, and a guard against leaks.
+"""Splits of a dataset into training and test data, and detection of shared samples.
 
-Neighbouring samples of one motion are nearly the same sample. A model is therefore judged on
-groups it has seen nothing of: `split` and `kfold` keep whole trajectories, poses or loads together,
-and `assert_disjoint` refuses data that share anything. The by-sample split of the papers exists
-only under its own name.
+Neighbouring samples of one motion are nearly equal. A model is therefore evaluated on groups of
+samples that were not used in the fit. `split` and `kfold` keep whole trajectories, poses or
+payloads together, and `assert_disjoint` rejects training and test data that share a group or
+samples. The by-sample split of the static and the PINN paper exists only as `paper_sample_split`.
 
-A fit that stops early also needs rows to stop by: `training_and_validation` holds out whole
-trajectories of the training data. A study that reproduces a publication marks its rows one by one
-in the column `PART` instead, so that windows and friction states are still computed along whole
-motions; estimators then leave the rows marked `TEST` out.
+A fit with early stopping also needs validation rows: `training_and_validation` holds out whole
+trajectories of the training data. A study that reproduces a publication marks single rows in the
+column `PART` instead, so that windows and friction states are still computed along whole motions.
+Estimators then do not use the rows that are marked `TEST`.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from hil.data.fingerprints import fingerprints
 
 SplitBy = Literal["trajectory", "pose", "load"]
 Group: TypeAlias = tuple[str, int]
-"""Source and number of a trajectory or pose; a load has no source."""
+"""Source and index of a trajectory or pose; a payload has an empty source."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Split:
-    """Data to fit on and data to judge on; they share no group.
+    """Training and test data that have no group in common.
 
     Attributes:
-        train: Whole groups to fit on.
-        test: Whole groups held out.
-        by: What a group is.
-        held_out: The groups in `test`.
+        train: Series of the groups used in the fit.
+        test: Series of the groups used in the evaluation.
+        by: Kind of the groups (trajectory, pose or payload).
+        held_out: List of the groups in `test`.
     """
 
     train: Dataset
@@ -46,9 +46,10 @@ class Split:
 
 
 def group_of(condition: Conditions, by: SplitBy) -> Group | None:
-    """Return the group of a series; None when it belongs to none (a warm-up, say).
+    """Return the group of a series; None if the series has no group, such as a warm-up.
 
-    Poses and trajectories are numbered within their source; a load is the same load everywhere.
+    Poses and trajectories are numbered within their source, whereas payload numbers are the same in
+    all sources.
     """
     if by == "load":
         return ("", condition.load)
@@ -57,7 +58,7 @@ def group_of(condition: Conditions, by: SplitBy) -> Group | None:
 
 
 def groups(dataset: Dataset, by: SplitBy) -> tuple[Group, ...]:
-    """Return the distinct groups, in order of appearance."""
+    """Return the distinct groups of a dataset, in the order of appearance."""
     every = (group_of(condition, by) for condition in dataset.conditions)
     return tuple(dict.fromkeys(group for group in every if group is not None))
 
@@ -68,17 +69,19 @@ def split(
     test: int | float | Sequence[int] = 0.2,
     seed: int = 0,
 ) -> Split:
-    """Return the dataset in two, with whole groups held out.
+    """Return the dataset split into training and test data, with whole groups held out.
 
     Args:
-        dataset: What to split; series outside every group are left out of both parts.
-        by: What must stay together. A pose keeps both its approaches and all its loads together.
-        test: How many groups (int), which share of them (float below 1), or which numbers. With 0
-            nothing is held out; any other share holds out at least one group.
-        seed: For the draw; not used with numbers.
+        dataset: Dataset to split; series without a group are in neither part.
+        by: Kind of the groups that stay together. If poses are the groups, both approach directions
+            and all payloads of a pose stay together.
+        test: Number of groups to hold out (int), share of the groups (float below 1), or list of
+            group numbers. With the share 0, no group is held out; any other share holds out at
+            least one group.
+        seed: Seed of the random choice of groups; not used if group numbers are passed.
 
     Raises:
-        DataError: There are not enough groups, or a number does not occur.
+        DataError: There are not enough groups, or a group number does not exist.
     """
     every = groups(dataset, by)
     if isinstance(test, int | float):
@@ -87,7 +90,7 @@ def split(
         held_out = _numbered(every, by, test)
     if held_out and len(held_out) == len(every):
         raise DataError(
-            f"nothing would be left to fit on: all {by} groups are held out",
+            f"no data are left for the fit: all {by} groups are held out",
             hint="hold out fewer, or record more",
         )
     return _split_at(dataset, by, held_out)
@@ -123,7 +126,7 @@ def _split_at(dataset: Dataset, by: SplitBy, held_out: tuple[Group, ...]) -> Spl
 
 
 def kfold(dataset: Dataset, by: SplitBy, folds: int, seed: int = 0) -> Iterator[Split]:
-    """Yield `folds` splits whose test parts are disjoint and together hold every group once.
+    """Yield `folds` splits with disjoint test parts, which together contain every group once.
 
     Raises:
         DataError: There are fewer groups than folds.
@@ -140,20 +143,22 @@ def kfold(dataset: Dataset, by: SplitBy, folds: int, seed: int = 0) -> Iterator[
 
 
 SAME_SHARE = 0.01
-"""Share of distinct samples that two independent recordings may have in common by chance."""
+"""Maximum share of distinct samples that independent recordings have in common by chance."""
 
 
 def assert_disjoint(train: Dataset, test: Dataset) -> None:
     """Raise if a test set shares a pose, a trajectory or samples with the training set.
 
-    Loads may be shared. Samples are compared by value (position and effort, not time), so the same
-    recording imported twice under different names, or with its clock shifted, is noticed too; up to
-    1 % of the distinct samples may coincide, as noise-free simulations do where they start.
+    Training and test data may share payloads. Samples are compared by position and effort, not by
+    time. A recording that was imported twice under different names, or with a shifted clock, is
+    therefore detected too. Up to 1 % of the distinct samples may be equal, as in noise-free
+    simulations with a common start.
 
-    The same *program* recorded twice passes, since the samples differ: see `hil.data.revisited`.
+    The same *program* recorded twice is accepted, because the samples of the two recordings differ;
+    see `hil.data.revisited`.
 
     Raises:
-        DataError: Something is shared; the message names it.
+        DataError: A group or samples are shared; the message names the shared groups or samples.
     """
     by_kind: tuple[SplitBy, ...] = ("trajectory", "pose")
     for by in by_kind:
@@ -173,13 +178,13 @@ def assert_disjoint(train: Dataset, test: Dataset) -> None:
         raise DataError(
             f"{len(same)} samples of the test data are also in the training data"
             + (f": those of {ours} in {theirs}" if ours and theirs else ""),
-            hint="the same recording was given twice, or a mock of the same seed repeated itself: "
-            "record the second with another excitation.seed",
+            hint="the same recording was passed twice, or a mock robot repeated a run with the "
+            "same seed: record the second with a different excitation.seed",
         )
 
 
 def _sources_with(rows: IntArray, data: Dataset) -> str:
-    """Name the sources of some fingerprints; empty if the data do not say them."""
+    """Return the names of the sources that contain the fingerprints; empty if they have no name."""
     named = []
     for source in dict.fromkeys(condition.source for condition in data.conditions):
         here = [k for k, condition in enumerate(data.conditions) if condition.source == source]
@@ -192,22 +197,23 @@ def _sources_with(rows: IntArray, data: Dataset) -> str:
 def paper_sample_split(
     dataset: Dataset, shares: tuple[float, float, float] = (0.75, 0.20, 0.05), seed: int = 0
 ) -> tuple[Dataset, Dataset, Dataset]:
-    """Return a random split by *sample*, as in both papers: for reproducing their numbers only.
+    """Return a random split by *sample*, which serves only to reproduce results of the papers.
 
-    Samples of the same pose or instant land on both sides, so errors measured this way say
-    nothing about new poses or motions (docs/explanation/honest-protocols.md). Series end up with
-    holes, which rules out filtering afterwards: prepare first.
+    With a split by sample, samples of the same pose or instant are in several parts; therefore,
+    errors measured with this split do not show the accuracy for new poses or motions
+    (docs/explanation/honest-protocols.md). After a split by sample, the series contain gaps and
+    cannot be filtered, so the dataset must be prepared before the split.
     """
     kinds = np.random.default_rng(seed).choice(3, size=len(dataset), p=np.asarray(shares))
     first, second, third = (rows_of(dataset, kinds == part) for part in range(3))
     return first, second, third
 
 
-# Rows to train on, to stop by and to judge
+# Training, validation and test rows
 
 
 PART = "part"
-"""Column (N,) with one of the three numbers below."""
+"""Name of the column (N,) whose values are `TRAINING`, `VALIDATION` or `TEST`."""
 
 TRAINING, VALIDATION, TEST = 0.0, 1.0, 2.0
 
@@ -216,12 +222,12 @@ SAMPLE_SPLIT_PROTOCOL = "paper: rows of the same motions to learn from and to ju
 
 
 def with_part(dataset: Dataset, part: FloatArray) -> Dataset:
-    """Return the dataset with the column `PART` (N,)."""
+    """Return the dataset with the additional column `PART` (N,)."""
     return dataset.with_columns(**{PART: np.asarray(part, dtype=np.float64)})
 
 
 def has_sample_split(dataset: Dataset) -> bool:
-    """Return whether the column `PART` puts rows of one motion on more than one side."""
+    """Return whether the column `PART` assigns rows of one motion to different parts."""
     if PART not in dataset.columns:
         return False
     motions = (rows for condition, rows in dataset.slices() if condition.kind not in AT_REST)
@@ -229,7 +235,7 @@ def has_sample_split(dataset: Dataset) -> bool:
 
 
 def rows_to_fit(dataset: Dataset) -> BoolArray:
-    """Return (N,) rows to fit on for estimators that do not stop early: all but those to judge."""
+    """Return (N,) a mask of the rows for estimators without early stopping: all but test rows."""
     if PART in dataset.columns:
         return np.asarray(dataset[PART] != TEST)
     return np.ones(len(dataset), dtype=bool)
@@ -238,16 +244,17 @@ def rows_to_fit(dataset: Dataset) -> BoolArray:
 def training_and_validation(
     dataset: Dataset, share: float = 2 / 9, seed: int = 0
 ) -> tuple[BoolArray, BoolArray]:
-    """Return (N,) rows to train on and (N,) rows to stop by; a row may belong to neither.
+    """Return two masks (N,): training rows and validation rows; a row may be in neither.
 
     Args:
-        dataset: With the column `PART`, which then decides alone, or without.
-        share: Of the trajectories that is held out, at least one. Of a single trajectory it is
-            the end.
-        seed: Of the draw of trajectories.
+        dataset: Dataset to divide; if the dataset has the column `PART`, this column alone defines
+            the rows.
+        share: Share of the trajectories that is held out for validation, at least one trajectory.
+            If there is a single trajectory, its end is held out.
+        seed: Seed of the random choice of trajectories.
 
     Raises:
-        DataError: One of the two would be empty.
+        DataError: One of the two masks would contain no rows.
     """
     if PART in dataset.columns:
         train, validate = dataset[PART] == TRAINING, dataset[PART] == VALIDATION
@@ -261,19 +268,23 @@ def training_and_validation(
         train, validate = _beginning_and_end(dataset)
     if not (np.any(train) and np.any(validate)):
         raise DataError(
-            "no rows are left to learn from"
+            "no rows are left for training"
             if not np.any(train)
-            else "no rows are left to stop by",
-            hint="give at least two trajectories, or one that is longer",
+            else "no rows are left for early stopping",
+            hint="pass at least two trajectories, or a longer one",
         )
     return train, validate
 
 
 _END_SHARE = 0.2
-"""Share of a single trajectory, at its end, that takes the place of held-out trajectories."""
+"""Share at the end of a single trajectory that is used as validation data."""
 
 _GAP_SHARE = 0.02
-"""Share before it that belongs to neither side: neighbours in time are nearly the same."""
+"""Share of a single trajectory that is not used, between training and validation rows.
+
+The gap between training and validation rows is needed, because samples that are close in time are
+nearly equal.
+"""
 
 
 def _beginning_and_end(dataset: Dataset) -> tuple[BoolArray, BoolArray]:

@@ -1,4 +1,4 @@
-"""Checks of this computer and of a station's robots, for `hil doctor`; no check raises."""
+"""Checks of this computer and of a station's robots, for `hil doctor`; errors become findings."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""The examination of a computer, and of the robots of a station: each is asked, none is moved."""
+"""Checks of a computer and of the robots of a station; these checks move no robot."""
 
 from __future__ import annotations
 
@@ -23,27 +23,28 @@ CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
 
 
 def examine(station: Path | None = None) -> list[Finding]:
-    """Return the findings of all checks.
+    """Return the findings of all checks of this computer and of a station.
 
     Args:
-        station: Also check this station file, and ask its robots whether they can be reached.
+        station: Station file to check, including the reachability of its robots; None for no
+            station.
     """
     findings = [finding for check in CHECKS for finding in check()]
     return findings + (list(station_robots(station)) if station else [])
 
 
 AT_ONCE = 8
-"""Robots that are asked at the same time."""
+"""Maximum number of robots that are queried at the same time."""
 
 MANY = 8
-"""From so many robots on, those that need no asking are counted instead of named."""
+"""Number of simulated robots from which on the robots are counted instead of listed by name."""
 
 
 def station_robots(path: Path) -> Iterator[Finding]:
-    """Yield whether a station file is valid, and what each of its robots answers.
+    """Yield whether a station file is valid, and the findings about each of its robots.
 
     Args:
-        path: The station file.
+        path: Path of the station file.
     """
     try:
         station = load_station(path)
@@ -56,15 +57,16 @@ def station_robots(path: Path) -> Iterator[Finding]:
     inside = [name for name, answer in zip(station.robots, answers, strict=True) if not answer]
     if inside:
         shown = ", ".join(inside) if len(inside) < MANY else f"{len(inside)} of them"
-        yield Finding("mock robots", f"{shown}: within hil, nothing to reach")
+        yield Finding("mock robots", f"{shown}: simulated within hil, no connection to check")
     for findings in answers:
         yield from findings
 
 
 def _ask(name: str, described: StationRobot) -> list[Finding]:
-    """Return what a robot answers; nothing for one that is simulated within this process."""
+    """Return the findings about a robot; an empty list for a robot simulated in this process."""
     try:
-        # In this process: asking takes a second or two, with a limit of its own.
+        # Run in this process, because a query takes only a second or two and has its own time
+        # limit.
         with opened(name, described.model_copy(update={"own_process": False})) as robot:
             if isinstance(robot, HasReach):
                 return [
@@ -80,6 +82,10 @@ def _ask(name: str, described: StationRobot) -> list[Finding]:
     except HilError as error:
         hint = f": {error.hint}" if error.hint else ""
         return [Finding(f"{name}: driver", f"{error.message}{hint}", "bad")]
-    except Exception as error:  # a driver of another package may raise anything
+    except Exception as error:  # a driver of a different package can raise any exception
         return [Finding(f"{name}: driver", f"{type(error).__name__}: {error}", "bad")]
-    return [Finding(f"{name}: reach", f"the driver {described.driver} cannot be asked", "note")]
+    return [
+        Finding(
+            f"{name}: reach", f"the driver {described.driver} cannot check the connection", "note"
+        )
+    ]

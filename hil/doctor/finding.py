@@ -1,4 +1,4 @@
-"""A finding: the result of one check."""
+"""Finding: result of one check of a computer or robot."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of one check.
+    """Result of one check of a computer or robot.
 
     Attributes:
-        what: What was checked.
-        finding: The result, and the remedy when it is not `ok`.
-        level: `ok`, `note` or `bad`.
+        what: Subject of the check, such as a package or a folder.
+        finding: Result of the check, and the remedy if the level is not `ok`.
+        level: Severity of the finding: `ok`, `note` or `bad`.
     """
 
     what: str
@@ -21,14 +21,14 @@ class Finding:
 
     @property
     def bad(self) -> bool:
-        """Whether `hil` cannot do its main job."""
+        """Whether the problem prevents the main function of `hil`."""
         return self.level == "bad"
 
     @property
     def mark(self) -> str:
-        """The level as a word, so that nothing depends on colour."""
+        """Level of the finding as a word, so that the output does not depend on color."""
         return {"ok": "ok", "note": "note", "bad": "BAD"}[self.level]
 
     def to_dict(self) -> dict[str, str]:
-        """Return the JSON form."""
+        """Return the JSON form of the finding."""
         return {"what": self.what, "finding": self.finding, "level": self.level}

@@ -1,4 +1,4 @@
-"""Checks of the installed packages: what hil and its extras need, and whether versions fit."""
+"""Checks of the installed packages: dependencies of hil and its extras, and their versions."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from hil.core import plugins
 from hil.doctor.finding import Finding
 
 NOT_FOR_USERS = {"all", "dev"}
-"""Extras that gather others, and those of a developer of hil."""
+"""Names of extras that combine other extras, or that only developers of hil need."""
 
 CONSTRAINTS = Path(__file__).resolve().parents[2] / "constraints.txt"
-"""Only in a checkout: the versions that hil was tested with."""
+"""Path of the file with the package versions used in tests of hil; the file exists only in a
+checkout."""
 
 SHOWN = 3
 
@@ -27,13 +28,14 @@ _PYTHON = re.compile(r"""python_version\s*<\s*['"](\d+)\.(\d+)['"]""")
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """One package that hil or an extra of it needs.
+    """Package that hil or one of its extras requires.
 
     Attributes:
-        name: Name of the distribution.
-        bounds: Such as `>=2.1,<4`.
-        extra: The extra that needs it; empty for hil itself.
-        before: The first version of Python that it is not for, if any.
+        name: Name of the package's distribution.
+        bounds: Version bounds of the package, such as `>=2.1,<4`.
+        extra: Name of the extra that requires the package; empty if hil itself requires it.
+        before: First Python version that does not support the package; None if all versions support
+            it.
     """
 
     name: str
@@ -43,7 +45,7 @@ class Need:
 
     @property
     def problem(self) -> str:
-        """Why it does not fit; empty if it does."""
+        """Description of a missing or incompatible package; empty if the package is suitable."""
         try:
             version = importlib.metadata.version(self.name)
         except importlib.metadata.PackageNotFoundError:
@@ -52,7 +54,7 @@ class Need:
 
 
 def needs() -> list[Need]:
-    """Return what the metadata of the installed hil says that it needs."""
+    """Return the required packages according to the metadata of the installed hil."""
     out = []
     for line in importlib.metadata.requires("hil") or ():
         if not (match := _REQUIREMENT.fullmatch(line.strip())) or match[1].lower() == "hil":
@@ -65,11 +67,11 @@ def needs() -> list[Need]:
 
 
 def meets(version: str, bounds: str) -> bool:
-    """Return whether a version is within bounds; only `>=`, `<` and `==` count.
+    """Return whether a version is within bounds; only `>=`, `<` and `==` are evaluated.
 
     Args:
-        version: Such as `2.13.0+cpu`.
-        bounds: Such as `>=3.11,<4`.
+        version: Version of a package, such as `2.13.0+cpu`.
+        bounds: Version bounds of the package, such as `>=3.11,<4`.
     """
     have = _numbers(version)
     for bound in filter(None, (part.strip() for part in bounds.split(","))):
@@ -89,17 +91,20 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def core() -> Iterator[Finding]:
-    """Yield whether the packages are there that hil itself needs."""
+    """Yield whether the packages required by hil itself are installed."""
     wanted = [need for need in needs() if not need.extra]
     problems = [need.problem for need in wanted if need.problem]
     if problems:
         yield Finding("packages", f"{'; '.join(problems)}: install hil again", "bad")
     else:
-        yield Finding("packages", f"all {len(wanted)} that hil needs, new enough")
+        yield Finding("packages", f"all {len(wanted)} required packages, in suitable versions")
 
 
 def extras() -> Iterator[Finding]:
-    """Yield for each extra whether its packages are there; a missing one is a note."""
+    """Yield for each extra whether its packages are installed.
+
+    A missing extra is reported with the level `note`.
+    """
     wanted = needs()
     for extra in dict.fromkeys(need.extra for need in wanted if need.extra):
         if extra in NOT_FOR_USERS:
@@ -112,17 +117,17 @@ def extras() -> Iterator[Finding]:
             text = f"{late[0].name} is only for Python before {version}"
             yield Finding(f"extra {extra}", text, "note")
         elif problems:
-            text = f'{", ".join(problems)}; for it: pip install "hil[{extra}]"'
+            text = f'{", ".join(problems)}; to install: pip install "hil[{extra}]"'
             yield Finding(f"extra {extra}", text, "note")
         else:
             yield Finding(f"extra {extra}", "installed")
 
 
 def constraints(file: Path = CONSTRAINTS) -> Iterator[Finding]:
-    """Yield whether versions are those that hil was tested with; nothing outside a checkout.
+    """Yield whether the installed versions are the tested ones; nothing outside a checkout.
 
     Args:
-        file: With a line such as `numpy==2.4.6` per package.
+        file: File that contains a line such as `numpy==2.4.6` for each package.
     """
     if not file.is_file():
         return
@@ -135,18 +140,18 @@ def constraints(file: Path = CONSTRAINTS) -> Iterator[Finding]:
             other.append(f"{name} {have} (tested: {version})")
     if other:
         more = f" and {len(other) - SHOWN} more" if len(other) > SHOWN else ""
-        text = f"{', '.join(other[:SHOWN])}{more}: pip install -c constraints.txt has those"
+        text = f"{', '.join(other[:SHOWN])}{more}: pip install -c constraints.txt installs those"
         yield Finding("versions", text, "note")
     else:
-        yield Finding("versions", "those that hil was tested with (constraints.txt)")
+        yield Finding("versions", "equal to the tested versions (constraints.txt)")
 
 
 def torch() -> Iterator[Finding]:
-    """Yield the version of torch, and what networks are trained on by `device: auto`."""
+    """Yield the version of torch, and the device for training networks with `device: auto`."""
     try:
         version = importlib.metadata.version("torch")
     except importlib.metadata.PackageNotFoundError:
-        return  # `extras` has said that the extra `learn` is missing
+        return  # `extras` has reported that the extra `learn` is missing
     if version.endswith("+cpu"):
         yield Finding("torch", f"{version}: networks are trained on the CPU")
         return
@@ -154,16 +159,16 @@ def torch() -> Iterator[Finding]:
         import torch
 
         names = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
-    except Exception as error:  # a driver that does not fit, a library that is missing, …
+    except Exception as error:  # for example an incompatible driver or a missing library
         yield Finding("torch", f"{version} cannot be used: {error}", "note")
         return
     yield Finding("torch", f"{version}: networks are trained on {names[0] if names else 'the CPU'}")
 
 
 def plug_ins() -> Iterator[Finding]:
-    """Yield the plug-ins that are broken."""
+    """Yield a finding for each plug-in that cannot be loaded."""
     broken = [row for row in plugins.describe_all() if row.error]
     for row in broken:
         yield Finding(f"plug-in {row.name}", row.error, "note")
     if not broken:
-        yield Finding("plug-ins", "all load")
+        yield Finding("plug-ins", "all can be loaded")

@@ -1,6 +1,7 @@
 """Rigid-body models, regressors, base parameters, friction columns and collision distances.
 
-Importing this package loads nothing heavy; Pinocchio comes with the first name that needs it.
+Importing this package loads no large library; Pinocchio is imported with the first name of the
+package that needs it.
 """
 
 import lazy_loader

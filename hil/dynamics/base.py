@@ -1,12 +1,14 @@
-"""Base parameters: the combinations of inertial parameters that torques can tell apart.
+"""Base parameters: those combinations of inertial parameters that can be identified from torques.
 
-A regressor's columns are linearly dependent, so only φ_b = φ_ind + K φ_dep can be identified
-(Gautier 1991, numerical calculation of the base inertial parameters). The rank comes from a
-column-pivoted QR. Which columns are kept is decided from left to right, so that the parameters and
-their names depend on the robot alone and not on the samples.
+The columns of a regressor are linearly dependent, so only the combinations φ_b = φ_ind + K φ_dep
+can be identified (Gautier 1991, numerical calculation of the base inertial parameters). A
+column-pivoted QR decomposition of the regressor gives the rank. The independent columns are
+selected from left to right; the base parameters and their names therefore depend only on the robot
+and not on the samples.
 
-How well samples determine them is said by `conditioning`, and by `log_condition` and `neg_log_det`,
-smooth functions of the information matrix G = YᵀY of a regressor Y with their gradients.
+`conditioning`, `log_condition` and `neg_log_det` evaluate how well samples determine the base
+parameters. `log_condition` and `neg_log_det` are smooth functions of the information matrix G = YᵀY
+of a regressor Y, and also return their gradients.
 """
 
 from __future__ import annotations
@@ -23,21 +25,25 @@ from hil.core import FitError, FloatArray, IntArray
 from hil.dynamics.robot_model import RobotModel
 
 TOLERANCE = 1e-9
-"""Relative to the largest pivot; dependent columns come out below 1e-14, independent ones above
-1e-3 for sampled arms."""
+"""Tolerance for the rank of a regressor, relative to the largest pivot.
+
+For sampled arms, dependent columns have pivots below 1e-14 and independent columns above 1e-3.
+"""
 
 SAMPLES = 150
 
 COEFFICIENT_DECIMALS = 12
-"""Coefficients are products of two lengths in m: what is beyond is the noise of the samples."""
+"""Number of decimals of coefficients, which are products of two lengths in m; further digits are
+noise.
+"""
 
 
 class Conditioning(NamedTuple):
-    """Condition numbers of a regressor.
+    """Condition numbers of a regressor, unscaled and scaled.
 
     Attributes:
-        raw: As it stands, mixed units and all.
-        scaled: With all columns scaled to length 1.
+        raw: Condition number of the unscaled regressor, with mixed units.
+        scaled: Condition number after scaling all regressor columns to length 1.
     """
 
     raw: float
@@ -46,13 +52,13 @@ class Conditioning(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
-    """Which columns are kept and how the others fold into them.
+    """Independent columns of a regressor, and the combinations that replace the dependent columns.
 
     Attributes:
-        independent: (b,) indices of the columns kept, ascending.
-        dependent: (p − b,) indices of the others, columns of zeros included.
-        combination: (b, p − b) K with W[:, dependent] = W[:, independent] K.
-        names: (b,) such as `mx_2 + 0.425 m_3`.
+        independent: (b,) ascending indices of the independent columns.
+        dependent: (p − b,) indices of the dependent columns, which include columns of zeros.
+        combination: (b, p − b) matrix K that satisfies W[:, dependent] = W[:, independent] K.
+        names: Names of the b base parameters, such as `mx_2 + 0.425 m_3`.
     """
 
     independent: IntArray
@@ -62,20 +68,20 @@ class BaseParameters:
 
     @property
     def rank(self) -> int:
-        """Number of base parameters b."""
+        """Number b of base parameters."""
         return len(self.independent)
 
     @classmethod
     def from_regressor(cls, W: FloatArray, names: Sequence[str]) -> BaseParameters:
-        """The base parameters of a regressor sampled all over the workspace.
+        """Return the base parameters of a regressor whose samples cover the whole workspace.
 
         Args:
-            W: (M, p) with at least p rows.
-            names: Length p.
+            W: (M, p) regressor with at least p rows.
+            names: p parameter names.
 
         Raises:
             FitError: `W` is too short, not finite or zero, or its rank depends on the order of its
-                columns: the samples do not excite the robot.
+                columns, because the samples do not excite the robot sufficiently.
         """
         _require_usable(W, names)
         length = np.linalg.norm(W, axis=0)
@@ -85,8 +91,9 @@ class BaseParameters:
         independent = _leftmost(R)
         if len(independent) != rank:
             raise FitError(
-                f"the regressor's rank is not clear: {rank} pivoted, {len(independent)} in order",
-                hint="sample more of the workspace",
+                f"the rank of the regressor is ambiguous: {rank} with pivoting, "
+                f"{len(independent)} without",
+                hint="use samples from more of the workspace",
             )
         dependent = np.setdiff1d(np.arange(W.shape[1]), independent)
         K = np.linalg.lstsq(R[:, independent], R[:, dependent], rcond=None)[0]
@@ -95,23 +102,26 @@ class BaseParameters:
         return cls(independent, dependent, K, _readable(names, independent, dependent, K))
 
     def reduce(self, W: FloatArray) -> FloatArray:
-        """(M, b) columns of the base parameters of a regressor (M, p)."""
+        """Return those columns (M, b) of a regressor (M, p) that belong to base parameters."""
         return W[:, self.independent]
 
     def regressor(
         self, model: RobotModel, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> FloatArray:
-        """(N·n, b) the same columns for motions (N, n), without computing the others."""
+        """Return the regressor columns (N·n, b) of the base parameters for motions (N, n).
+
+        Other columns of the regressor are not computed.
+        """
         return model.regressor(q, qd, qdd, columns=self.independent)
 
     def combine(self, parameters: FloatArray) -> FloatArray:
-        """(b,) base parameters of full ones (p,), so that reduced columns give the same torque."""
+        """Return the base parameters (b,) that give the same torque as the full parameters (p,)."""
         return np.asarray(
             parameters[self.independent] + self.combination @ parameters[self.dependent]
         )
 
     def expand(self, base: FloatArray) -> FloatArray:
-        """(p,) one set of full parameters with these base parameters: the dependent ones are 0."""
+        """Return full parameters (p,) with these base parameters; dependent parameters are 0."""
         full = np.zeros(len(self.independent) + len(self.dependent))
         full[self.independent] = base
         return full
@@ -119,9 +129,9 @@ class BaseParameters:
 
 def _require_usable(W: FloatArray, names: Sequence[str]) -> None:
     if W.ndim != 2 or W.shape[1] != len(names) or len(W) < W.shape[1]:
-        raise FitError(f"a regressor of shape {W.shape} cannot tell {len(names)} parameters apart")
+        raise FitError(f"a regressor of shape {W.shape} cannot determine {len(names)} parameters")
     if not np.all(np.isfinite(W)) or not np.any(W):
-        raise FitError("the regressor holds NaN or infinity, or nothing but zeros")
+        raise FitError("the regressor contains NaN or infinite values, or only zeros")
 
 
 def _pivots(R: FloatArray) -> FloatArray:
@@ -131,15 +141,16 @@ def _pivots(R: FloatArray) -> FloatArray:
 
 
 def _leftmost(R: FloatArray) -> IntArray:
-    """Indices of the columns that are independent of those to their left.
+    """Return the indices of the columns that are linearly independent of all columns to their left.
 
-    Columns have length 1 or 0; what is left of one after projecting out the basis is its pivot.
+    The columns of `R` must have length 1 or 0. The pivot of a column is its length after projection
+    onto the complement of the basis.
     """
     basis = np.zeros((R.shape[0], 0))
     kept = []
     for i, column in enumerate(R.T):
         rest = column - basis @ (basis.T @ column)
-        rest -= basis @ (basis.T @ rest)  # twice is enough (Kahan)
+        rest -= basis @ (basis.T @ rest)  # a second orthogonalisation is sufficient (Kahan)
         size = np.linalg.norm(rest)
         if size > TOLERANCE:
             kept.append(i)
@@ -164,16 +175,17 @@ def _term(coefficient: float, name: str) -> str:
 def base_parameters(
     model: RobotModel, *, rotor: bool = True, gravity_only: bool = False, seed: int = 0
 ) -> BaseParameters:
-    """Return the base parameters of a robot, from random samples.
+    """Return the base parameters of a robot, computed from random samples.
 
-    They depend on its joints and gravity alone. They are computed once for all models of an arm,
-    as planning, fits and a model read from its file need the same.
+    The base parameters depend only on the joints and on gravity. The base parameters are cached for
+    all models of an arm, because planning, fits and stored models need the same base parameters.
 
     Args:
-        model: The robot.
-        rotor: Whether rotor inertias count as parameters; never with `gravity_only`.
-        gravity_only: Those that act on an arm at rest.
-        seed: Of the random samples; the result does not depend on it.
+        model: Robot model.
+        rotor: Flag; if true, rotor inertias are included. The flag `rotor` is ignored with
+            `gravity_only`.
+        gravity_only: Flag; if true, only parameters that act on a static arm are included.
+        seed: Seed of the random samples; the base parameters do not depend on it.
     """
     return _sampled(_Columns(model), rotor, gravity_only, seed)
 
@@ -194,7 +206,7 @@ def _sampled(columns: _Columns, rotor: bool, gravity_only: bool, seed: int) -> B
 
 
 class _Columns:
-    """A robot as far as a regressor's columns are concerned: equal where these are."""
+    """Hashable key of a robot, equal for all robots with equal regressor columns."""
 
     def __init__(self, model: RobotModel) -> None:
         self.model, self._key = model, model.columns_key
@@ -207,7 +219,7 @@ class _Columns:
 
 
 def conditioning(W: FloatArray) -> Conditioning:
-    """Condition numbers of a regressor (M, p), raw and with its columns scaled to length 1."""
+    """Return the condition numbers of a regressor (M, p), unscaled and with columns of length 1."""
     R = scipy.linalg.qr(W, mode="r", check_finite=False)[0][: W.shape[1]]
     length = np.linalg.norm(R, axis=0)
     if not np.all(length > 0):
@@ -216,16 +228,17 @@ def conditioning(W: FloatArray) -> Conditioning:
 
 
 LEAST_SHARE = 1e-15
-"""Eigenvalues below this share of the largest are rounding; so is their logarithm."""
+"""Share of the largest eigenvalue below which an eigenvalue is treated as a rounding error."""
 
 
 class Measure(NamedTuple):
-    """A function of the information matrix.
+    """Value of a function of the information matrix, with its gradient.
 
     Attributes:
-        value: The smaller, the better the samples identify.
-        gradient: (b, b) its derivative, symmetric: dvalue = Σ gradient ∘ dG.
-        exact: What `value` stands for: a condition number, or a log determinant.
+        value: Value of the function; smaller values mean that the samples identify the parameters
+            better.
+        gradient: (b, b) symmetric derivative of `value`: dvalue = Σ gradient ∘ dG.
+        exact: Exact quantity that `value` approximates: a condition number, or a log determinant.
     """
 
     value: float
@@ -234,15 +247,16 @@ class Measure(NamedTuple):
 
 
 def log_condition(G: FloatArray, sharpness: float, scaled: bool = False) -> Measure:
-    """Log cond(Y), smooth: where singular values meet, the condition number itself has a kink.
+    """Return a smooth approximation of log cond(Y), which has kinks at equal singular values.
 
-    The largest and the least eigenvalue are replaced by the ends of a p-norm over all,
-    (Σ λᵖ)^(1/p) and (Σ λ⁻ᵖ)^(−1/p), which is above log cond by (log b)/p at most.
+    In the approximation, p-norms over all eigenvalues replace the largest and the smallest
+    eigenvalue: (Σ λᵖ)^(1/p) and (Σ λ⁻ᵖ)^(−1/p). The approximation exceeds log cond by at most (log
+    b)/p.
 
     Args:
-        G: (b, b).
-        sharpness: p.
-        scaled: Condition number of Y with its columns scaled to length 1.
+        G: (b, b) information matrix.
+        sharpness: Exponent p.
+        scaled: Flag; if true, the columns of Y are scaled to length 1.
     """
     if scaled:
         return _scaled(G, sharpness)
@@ -265,7 +279,7 @@ def _scaled(G: FloatArray, sharpness: float) -> Measure:
 
 
 def neg_log_det(G: FloatArray) -> Measure:
-    """−log det(YᵀY)/(2b): how far the axes of the confidence ellipsoid are, in the mean."""
+    """Return −log det(YᵀY)/(2b), the mean logarithm of the confidence ellipsoid's axes."""
     size = len(G)
     values, V = scipy.linalg.eigh(G, check_finite=False)
     values = np.maximum(values, LEAST_SHARE * values[-1])

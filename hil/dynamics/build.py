@@ -1,6 +1,7 @@
-"""Pinocchio models from an arm description or a URDF file.
+"""Construction of Pinocchio models from an arm description or a URDF file.
 
-Pinocchio says little about a URDF it cannot use, so `read_serial_arm` says what is wrong first.
+The error messages of Pinocchio for an unusable URDF contain few details. Therefore
+`read_serial_arm` checks the file first and reports the problems.
 """
 
 from __future__ import annotations
@@ -20,24 +21,25 @@ from hil.arms import ArmDescription
 from hil.core import BoolArray, FloatArray, SpecError, neighbour_of, no_file, utf8_text
 
 UNLIMITED = 1e9
-"""Stands for infinity in a URDF, which has no word for it."""
+"""Number that replaces infinity in a URDF, which cannot represent infinity."""
 
 FLANGE_NAMES = ("tool0", "flange")
 
 
 def model_from_arm(arm: ArmDescription) -> pin.Model:
-    """Return a Pinocchio model of an arm in standard DH convention: the caller's own copy.
+    """Return a new Pinocchio model of an arm in standard DH convention.
 
-    Joint i turns about z of DH frame i−1; Pinocchio's joint frame i sits there, turned by q_i, so
-    inertial parameters are about that frame. The centres of mass are given in the DH frames, which
-    is why a body is appended at the same placement as the joint that follows.
+    Joint i of an arm in DH convention rotates about the z axis of DH frame i−1. Joint frame i of
+    Pinocchio is DH frame i−1, rotated by q_i; the inertial parameters of the model refer to this
+    joint frame. The centres of mass of an arm description are defined in DH frames, so a body has
+    the same placement as the following joint.
     """
     return _built(arm).copy()
 
 
 @lru_cache(maxsize=16)
 def _built(arm: ArmDescription) -> pin.Model:
-    """Build the model of a description, which is one object per arm and never changes."""
+    """Return the cached Pinocchio model of a description; equal descriptions share one object."""
     limits = (arm.effort_max, arm.qd_max, arm.q_min, arm.q_max)
     model = model_of_dh(arm.dh, arm.mass, arm.com, arm.inertia, arm.joint_names, limits)
     model.name = utf8_text(arm.name)
@@ -52,9 +54,16 @@ def model_of_dh(
     names: Sequence[str] = (),
     limits: Sequence[FloatArray] = (),
 ) -> pin.Model:
-    """The same of bare numbers: (n, 4), (n,), (n, 3), (n, 3, 3) as `ArmDescription` has them.
+    """Return a Pinocchio model of DH parameters and inertial parameters.
 
-    `limits` are those of torque, speed and position, each (n,); none by default.
+    Args:
+        dh: (n, 4) DH parameters in the order of `ArmDescription`.
+        mass: (n,) masses.
+        com: (n, 3) centres of mass in the DH frames.
+        inertia: (n, 3, 3) inertias.
+        names: Names of the n joints; empty for `joint_1`, `joint_2`, ….
+        limits: Limits of torque, speed, lower position and upper position, each (n,); empty for no
+            limits.
     """
     model = pin.Model()
     parent, placement = 0, pin.SE3.Identity()
@@ -70,15 +79,16 @@ def model_of_dh(
 
 
 def model_from_urdf(path: Path, flange: str | None = None) -> tuple[pin.Model, int]:
-    """A Pinocchio model of a fixed-base serial arm and the frame loads are mounted at.
+    """Return the Pinocchio model of a fixed-base serial arm, and the frame that carries loads.
 
     Args:
-        path: The URDF file.
-        flange: Link that loads are mounted at; by default `tool0` or `flange` where the file has
-            one, else the link of the last joint.
+        path: URDF file.
+        flange: Name of the link that carries loads; if not passed, `tool0` or `flange` if the file
+            has such a link, else the link of the last joint.
 
     Raises:
-        SpecError: The file is missing, no XML, no URDF, or not of a fixed-base serial arm.
+        SpecError: The file is missing, is not XML, is not a URDF, or does not describe a fixed-base
+            serial arm.
     """
     root = read_serial_arm(path)
     endless = [joint for joint in root.findall("joint") if joint.get("type") == "continuous"]
@@ -96,7 +106,7 @@ def model_from_urdf(path: Path, flange: str | None = None) -> tuple[pin.Model, i
 
 
 def _limit(joint: ET.Element) -> None:
-    """Make an endless joint an ordinary one: Pinocchio would give it two coordinates."""
+    """Make a continuous joint revolute, because Pinocchio would use two coordinates for it."""
     joint.set("type", "revolute")
     limit = joint.find("limit")
     if limit is None:
@@ -106,7 +116,7 @@ def _limit(joint: ET.Element) -> None:
 
 
 def _unlimit(model: pin.Model, endless: list[str]) -> None:
-    """Say infinite where `_limit` had to say a number."""
+    """Set those limits of a model to infinity for which `_limit` had to insert a number."""
     for name in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit"):
         values = getattr(model, name).copy()
         for index in (model.joints[model.getJointId(joint)].idx_q for joint in endless):
@@ -116,7 +126,7 @@ def _unlimit(model: pin.Model, endless: list[str]) -> None:
 
 
 def _set_armature(model: pin.Model, root: ET.Element) -> None:
-    """Rotor inertias: the `armature` of a joint's dynamics is MuJoCo's word, not URDF's."""
+    """Set the rotor inertias from `armature`, an attribute of `<dynamics>` that MuJoCo defines."""
     armature = model.armature.copy()
     for joint in root.findall("joint"):
         told = joint.find("dynamics")
@@ -138,19 +148,20 @@ def _flange_frame(model: pin.Model, path: Path, flange: str | None) -> int:
     if name not in bodies:
         raise SpecError(
             f"{path}: the flange {name!r} is not a link behind the last joint",
-            hint=f"there are {', '.join(bodies)}",
+            hint=f"use one of {', '.join(bodies)}",
         )
     return int(model.getFrameId(name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointGeometry:
-    """Where the joints of a chain are, and about or along what they move.
+    """Placements and axes of the joints of a serial chain.
 
     Attributes:
-        placement: (n, 4, 4) of each joint's frame in the one before, at q = 0.
-        axis: (n, 3) of length 1, in the joint's own frame.
-        turns: (n,) true where the joint turns about its axis, false where it slides along it.
+        placement: (n, 4, 4) pose of each joint frame in the previous joint frame, at q = 0.
+        axis: (n, 3) unit vectors in the joint frames.
+        turns: (n,) flags; true if a joint is revolute about its axis, false if it is prismatic
+            along its axis.
     """
 
     placement: FloatArray
@@ -159,12 +170,12 @@ class JointGeometry:
 
 
 def joint_geometry(model: pin.Model) -> JointGeometry:
-    """The geometry of a model's joints, the first one's frame given in the base's."""
+    """Return the geometry of a model's joints; the first placement is in the base frame."""
     data, joints = model.createData(), range(1, model.njoints)
     pin.computeJointJacobians(model, data, pin.neutral(model))
     moves = [pin.getJointJacobian(model, data, j, pin.ReferenceFrame.LOCAL) for j in joints]
-    # Column j of its own Jacobian: how joint j moves its own frame, linear before angular. Of a
-    # single joint, Pinocchio's Jacobian is a vector.
+    # Column j of the Jacobian of frame j is the motion of joint j in its own frame, linear before
+    # angular. For a single joint, Pinocchio returns a vector.
     motions = np.array(
         [move.reshape(6, -1)[:, j - 1] for j, move in zip(joints, moves, strict=True)]
     )
@@ -177,7 +188,7 @@ def joint_geometry(model: pin.Model) -> JointGeometry:
 
 
 def pose_of(placement: pin.SE3) -> FloatArray:
-    """(4, 4) homogeneous matrix."""
+    """Return the homogeneous matrix (4, 4) of a placement."""
     return np.array(placement.homogeneous)
 
 
@@ -191,23 +202,25 @@ NUMBERS = {
     "limit": ("lower", "upper", "effort", "velocity"),
     "dynamics": ("damping", "friction", "armature"),
 }
-"""Attributes that hold numbers, by element, in the joints and the inertias."""
+"""Mapping from a URDF element to those of its attributes that contain numbers, in joints and
+inertias.
+"""
 
 
 def read_serial_arm(path: Path) -> ET.Element:
-    """The root element of a URDF that describes a fixed-base serial arm.
+    """Return the root element of a URDF that describes a fixed-base serial arm.
 
     Raises:
-        SpecError: The file is missing, no XML, no URDF or of another kind of robot; one line per
-            problem.
+        SpecError: The file is missing, is not XML, is not a URDF, or describes a different kind of
+            robot; the message has one line per problem.
     """
     root = _parsed(path)
     problems = list(_problems(root))
     if problems:
         raise SpecError(
             "\n".join(f"{path}: {problem}" for problem in problems),
-            hint="mend the file; only fixed-base serial arms of revolute and prismatic joints can "
-            "be identified, so make the joints of grippers and other branches fixed",
+            hint="repair the file; only fixed-base serial arms of revolute and prismatic joints "
+            "can be identified, so set the joints of grippers and other branches to `fixed`",
         )
     return root
 
@@ -224,11 +237,13 @@ def _parsed(path: Path) -> ET.Element:
             hint="give the path of a URDF file or the name of a built-in arm",
         ) from None
     except (ET.ParseError, ValueError) as error:
-        raise SpecError(f"{path}: not well-formed XML: {error}", hint="is it a URDF?") from None
+        raise SpecError(
+            f"{path}: not well-formed XML: {error}", hint="check that the file is a URDF"
+        ) from None
     if root.tag != "robot":
         raise SpecError(
             f"{path}: the outermost element is <{root.tag}>, a URDF has <robot>",
-            hint="turn a xacro into a URDF with `xacro file.xacro > file.urdf`",
+            hint="convert a xacro file to a URDF with `xacro file.xacro > file.urdf`",
         )
     return root
 
@@ -257,7 +272,7 @@ def _joint_problems(joint: ET.Element) -> Iterator[str]:
         if limit is None:
             yield "has no <limit>"
         elif not _first(limit, "lower") <= _first(limit, "upper"):
-            yield "has a lower limit above its upper one"
+            yield "has a lower limit above its upper limit"
     if kind in MOVING and limit is not None:
         for word in ("effort", "velocity"):
             if limit.get(word) is None:
@@ -265,10 +280,10 @@ def _joint_problems(joint: ET.Element) -> Iterator[str]:
             elif _first(limit, word) < 0:
                 yield f"has a negative {word} limit"
     if joint.find("mimic") is not None:
-        yield "mimics another"
+        yield "mimics a different joint"
     axis = joint.find("axis")
     if kind in MOVING and axis is not None and not any(_numbers(axis.get("xyz", ""))):
-        yield "turns about an axis of length 0"
+        yield "has an axis of length 0"
 
 
 def _first(element: ET.Element, attribute: str) -> float:
@@ -283,7 +298,7 @@ def _numbers(text: str) -> list[float]:
 
 
 def _number_problems(element: ET.Element) -> Iterator[str]:
-    """Of a link only its inertia counts: meshes and colours are not read."""
+    """Yield problems with the numbers of a joint or a link; meshes and colours are not read."""
     name = f"{element.tag} {element.get('name')!r}"
     part = element.find("inertial") if element.tag == "link" else element
     if part is not None and element.tag == "link":
@@ -291,14 +306,14 @@ def _number_problems(element: ET.Element) -> Iterator[str]:
             said = part.find(tag)
             lacks = [word for word in NUMBERS[tag] if said is None or said.get(word) is None]
             if lacks:
-                yield f"{name}: its <{tag}> lacks {', '.join(lacks)}"
+                yield f"{name}: <{tag}> has no {', '.join(lacks)}"
     for child in () if part is None else part:
         for attribute in NUMBERS.get(child.tag, ()):
             text = child.get(attribute)
             if text is not None and not all(map(math.isfinite, _numbers(text))):
                 yield f"{name}: <{child.tag} {attribute}={text!r}> is not a number"
         if child.tag == "mass" and _first(child, "value") < 0:
-            yield f"{name}: its mass is negative"
+            yield f"{name}: the mass is negative"
 
 
 def _tree_problems(links: list[ET.Element], joints: list[ET.Element]) -> Iterator[str]:
@@ -306,14 +321,16 @@ def _tree_problems(links: list[ET.Element], joints: list[ET.Element]) -> Iterato
     ends = [(_end(joint, "parent"), _end(joint, "child")) for joint in joints]
     lost = sorted({name for pair in ends for name in pair} - names)
     if lost:
-        yield f"joints hang on links that are not there: {', '.join(map(repr, lost))}"
+        yield f"joints refer to links that do not exist: {', '.join(map(repr, lost))}"
         return
     carried = Counter(child for _, child in ends)
-    yield from (f"link {name!r} hangs on {n} joints" for name, n in carried.items() if n > 1)
+    yield from (f"link {name!r} is the child of {n} joints" for name, n in carried.items() if n > 1)
     roots = names - carried.keys()
     adrift = names - _reached(roots, ends) if len(roots) == 1 else roots
     if len(roots) != 1 or adrift:
-        yield f"the links are not one tree: {', '.join(map(repr, sorted(adrift)))} hang apart"
+        yield (
+            f"the links do not form one tree: not connected: {', '.join(map(repr, sorted(adrift)))}"
+        )
         return
     yield from _forks(joints)
 
@@ -324,7 +341,7 @@ def _end(joint: ET.Element, which: str) -> str:
 
 
 def _reached(roots: set[str], ends: list[tuple[str, str]]) -> set[str]:
-    """All links that hang on the roots, which are among them."""
+    """Return all links that are connected to the root links, including the root links."""
     reached, new = set(roots), set(roots)
     while new:
         new = {child for parent, child in ends if parent in new} - reached
@@ -333,7 +350,7 @@ def _reached(roots: set[str], ends: list[tuple[str, str]]) -> set[str]:
 
 
 def _forks(joints: list[ET.Element]) -> Iterator[str]:
-    """Where more than one moving joint hangs on a link, possibly over fixed joints."""
+    """Yield links that carry more than one moving joint, directly or through fixed joints."""
     up = {_end(j, "child"): _end(j, "parent") for j in joints if j.get("type") == "fixed"}
     carried: dict[str, list[str]] = {}
     for joint in joints:

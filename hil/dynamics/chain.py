@@ -1,16 +1,19 @@
-"""A serial arm as plain arrays, and recursions over its links that do without Pinocchio.
+"""Constants of a serial arm as arrays, and recursions over its links without Pinocchio.
 
-The generalised momentum is for observers, which cannot have accelerations. The momentum
-p = M(q) q̇ and the gradient of the kinetic energy, which is Cᵀ(q, q̇) q̇ for every C that makes
-Ṁ − 2C skew, come from one walk along the arm: link velocities out, link momenta back.
+The generalised momentum is needed by observers, for which accelerations are not available. One
+recursion along the arm computes the momentum p = M(q) q̇ and the gradient of the kinetic energy.
+The gradient of the kinetic energy is Cᵀ(q, q̇) q̇ for every matrix C for which Ṁ − 2C is
+skew-symmetric. Link velocities are computed from the base outwards, link momenta from the tip
+inwards.
 
-With H_i the momentum of all links behind joint i, v_i the velocity of link i and S_i the joint's
-axis, all as spatial vectors in frame i,
+H_i is the momentum of link i and all links after it, v_i the velocity of link i and S_i the axis of
+joint i, all as spatial vectors in frame i. Then
 
     p_i = S_i · H_i        (Cᵀ q̇)_i = (v_i × S_i) · H_i
 
-(the latter since a joint's motion turns the velocity of everything behind it). Both are linear in
-the inertial parameters, so links that cannot exist will do as long as their torques are right.
+The second equation holds because a joint rotates the velocities of all links after this joint.
+Momentum and gradient are linear in the inertial parameters, so the links need not be physically
+consistent as long as their torques are correct.
 """
 
 from __future__ import annotations
@@ -24,23 +27,26 @@ from hil.dynamics.build import JointGeometry
 from hil.dynamics.inertial import PARAMETERS
 
 ZERO = 1e-15
-"""Sines and metres below this are what is left of an exact zero."""
+"""Absolute value below which sines and lengths in m are treated as rounding errors of an exact
+zero.
+"""
 
 
 class Chain(NamedTuple):
-    """The constants of n joints.
+    """Constants of n joints.
 
-    The rotation from the frame before joint i into its own is constant + cosine·cos q + sine·sin q.
+    The rotation from the frame before joint i to the frame of joint i is `constant` + `cosine`·cos
+    q + `sine`·sin q.
 
     Attributes:
-        gravity: (3,) in the base frame [m/s²].
-        turns: (n,) whether a joint turns about its axis; else it slides along it.
-        axis: (n, 3) in the joint's own frame.
-        constant: (n, 3, 3).
-        cosine: (n, 3, 3).
-        sine: (n, 3, 3).
-        offset: (n, 3) where the joint's frame is at q = 0, in the frame before [m].
-        slide: (n, 3) how that changes with q.
+        gravity: (3,) gravity vector in the base frame [m/s²].
+        turns: (n,) flags; true if the joint is revolute, false if it is prismatic.
+        axis: (n, 3) joint axes in the joint frames.
+        constant: (n, 3, 3) constant part of the rotation between the frames.
+        cosine: (n, 3, 3) factor of cos q in the rotation.
+        sine: (n, 3, 3) factor of sin q in the rotation.
+        offset: (n, 3) origin of the joint frame at q = 0, in the previous joint frame [m].
+        slide: (n, 3) change of the origin of the joint frame per unit of q.
     """
 
     gravity: FloatArray
@@ -54,7 +60,7 @@ class Chain(NamedTuple):
 
     @classmethod
     def of(cls, geometry: JointGeometry, gravity: FloatArray) -> Chain:
-        """The constants of joints under gravity (3,)."""
+        """Return the constants of joints that have this geometry and gravity vector (3,)."""
         axis, turns = _exact(geometry.axis), np.asarray(geometry.turns)
         fixed, offset = geometry.placement[:, :3, :3], _exact(geometry.placement[:, :3, 3])
         along = np.einsum("ia,ib->iab", axis, axis)
@@ -75,7 +81,7 @@ class Chain(NamedTuple):
 
 
 def _exact(values: FloatArray) -> FloatArray:
-    """Without the last bit's noise about 0 and ±1; contiguous."""
+    """Return contiguous values from which rounding errors near 0 and ±1 are removed."""
     cleaned = np.where(np.abs(values) < ZERO, 0.0, values)
     near_one = np.abs(np.abs(cleaned) - 1) < ZERO
     return np.ascontiguousarray(np.where(near_one, np.sign(cleaned), cleaned))
@@ -84,17 +90,17 @@ def _exact(values: FloatArray) -> FloatArray:
 BODY = len(PARAMETERS)
 
 TENSOR = [[4, 5, 7], [5, 6, 8], [7, 8, 9]]
-"""Where the inertia (3, 3) is among a body's parameters."""
+"""Indices of the elements of the inertia (3, 3) within the parameters of a body."""
 
 
 def momentum(
     chain: Chain, parameters: FloatArray, q: FloatArray, qd: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Momentum p and Cᵀq̇.
+    """Return the generalised momentum p and the gradient Cᵀq̇ of the kinetic energy.
 
     Args:
-        chain: The joints.
-        parameters: (11n,) in the order of `RobotModel.parameters(rotor=True)`.
+        chain: Constants of the joints of the arm.
+        parameters: (11n,) inertial parameters in the order of `RobotModel.parameters(rotor=True)`.
         q: (N, n) positions [rad].
         qd: (N, n) velocities [rad/s].
 
@@ -116,14 +122,14 @@ def momentum(
         gradient[:, i] = np.sum(linear * _cross(v if chain.turns[i] else w, axis), axis=1)
         if chain.turns[i]:
             gradient[:, i] += np.sum(angular * _cross(w, axis), axis=1)
-        # Row vectors times R are the inverse rotation: into the frame before.
+        # Row vectors times R give the inverse rotation, into the previous frame.
         linear, angular = (np.einsum("sa,sab->sb", part, frames[i]) for part in (linear, angular))
         angular = angular + _cross(_origin(chain, i, q), linear)
     return p, gradient
 
 
 def _rotations(chain: Chain, q: FloatArray) -> FloatArray:
-    """(n, N, 3, 3) from the frame before each joint into its own."""
+    """Return the rotations (n, N, 3, 3) from the previous frame to the frame of each joint."""
     cos, sin = np.cos(q.T)[..., None, None], np.sin(q.T)[..., None, None]
     turned: FloatArray = (
         chain.constant[:, None] + cos * chain.cosine[:, None] + sin * chain.sine[:, None]
@@ -134,7 +140,7 @@ def _rotations(chain: Chain, q: FloatArray) -> FloatArray:
 def _velocities(
     chain: Chain, frames: FloatArray, q: FloatArray, qd: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Angular and linear velocity of each link's frame in itself, each (N, 3)."""
+    """Return angular and linear velocity of each link in the link's own frame, each (N, 3)."""
     w, v = np.zeros((len(q), 3)), np.zeros((len(q), 3))
     found = []
     for i, R in enumerate(frames):
@@ -147,19 +153,19 @@ def _velocities(
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products of rows; np.cross takes ten times as long for one row."""
+    """Return the cross products of rows; np.cross takes ten times as long for a single row."""
     ax, ay, az = a.T
     bx, by, bz = b.T
     return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
 
 
 def _origin(chain: Chain, i: int, q: FloatArray) -> FloatArray:
-    """(N, 3) of joint i in the frame before [m]."""
+    """Return the origin (N, 3) of the frame of joint i in the previous frame [m]."""
     origin: FloatArray = chain.offset[i] + q[:, i, None] * chain.slide[i]
     return origin
 
 
 def _own(body: FloatArray, w: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Linear and angular momentum of one link about its frame's origin, each (N, 3)."""
+    """Return linear and angular momentum of one link about its frame's origin, each (N, 3)."""
     first = body[1:4]
     return body[0] * v + _cross(w, first), w @ body[TENSOR] + _cross(first, v)

@@ -1,13 +1,14 @@
-"""Signed distances of an arm to itself, its payload and its surroundings.
+"""Signed distances of an arm to itself, to its payload and to its surroundings.
 
-Bodies are capsules that move with the links. Distances are computed with numpy for blocks of
-samples, which is as fast as Pinocchio's `computeDistances` sample by sample (2 to 3 µs for the 39
-pairs of a UR5, `benchmarks/collision.py`), and yields all distances at no extra cost: that is what
-lets the search along a path skip most samples.
+The bodies of the arm are capsules that move with the links. All distances are computed with numpy
+for blocks of samples. With numpy the computation is as fast as Pinocchio's `computeDistances` for
+single samples (2 to 3 µs for the 39 pairs of a UR5, `benchmarks/collision.py`). The computation
+yields all distances at no extra cost, which allows the search along a path to skip most samples.
 
-What stands around is an `Environment` of planes and boxes; the space a flange has to stay in is a
-`FlangeSpace`. In the functions of distances points are arrays of shape (3, P, N): coordinate, pair,
-sample. The coordinate comes first so that every operation runs over one contiguous block.
+An `Environment` consists of planes and boxes around the arm. A `FlangeSpace` limits the space in
+which the flange may move. The functions for distances use arrays of points with the shape (3, P,
+N): coordinate, pair, sample. The coordinate is the first axis of the arrays, so that every
+operation processes one contiguous block.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """A half-space the arm must stay in.
+    """Plane that bounds the half-space in which the arm must stay.
 
     Attributes:
         point: Any point of the plane [m].
-        normal: Points to the side where the arm may be; its length does not matter.
-        name: For messages.
+        normal: Normal vector of any length that points to the permitted side of the plane.
+        name: Name of the plane in messages.
     """
 
     point: Vector
@@ -39,19 +40,19 @@ class Plane:
 
     @property
     def unit_normal(self) -> FloatArray:
-        """(3,) normal of length 1."""
+        """Unit normal (3,)."""
         normal = np.array(self.normal, dtype=np.float64)
         return np.asarray(normal / np.linalg.norm(normal))
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A solid box along the axes of the base frame.
+    """Solid box whose edges are parallel to the axes of the base frame.
 
     Attributes:
-        centre: [m].
-        size: Full edge lengths [m].
-        name: For messages.
+        centre: Centre of the box [m].
+        size: Full edge lengths of the box [m].
+        name: Name of the box in messages.
     """
 
     centre: Vector
@@ -60,19 +61,19 @@ class Box:
 
     @property
     def corners(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corner, each (3,) [m]."""
+        """Lowest and highest corner of the box, each (3,) [m]."""
         centre, half = np.array(self.centre, dtype=np.float64), 0.5 * np.array(self.size)
         return centre - half, centre + half
 
 
 @dataclass(frozen=True, slots=True)
 class Environment:
-    """Everything around the arm.
+    """Obstacles around the arm.
 
     Attributes:
-        table_z: Height of the table the base stands on [m], None when there is none.
-        walls: Planes the arm must stay in front of.
-        boxes: Obstacles the arm must stay out of.
+        table_z: Height of the table on which the base stands [m]; None if there is no table.
+        walls: Planes in front of which the arm must stay.
+        boxes: Boxes that the arm must not enter.
     """
 
     table_z: float | None = None
@@ -81,26 +82,27 @@ class Environment:
 
     @property
     def table(self) -> Plane | None:
-        """The table as a plane."""
+        """Plane of the table top; None if there is no table."""
         if self.table_z is None:
             return None
         return Plane((0.0, 0.0, self.table_z), (0.0, 0.0, 1.0), "table")
 
 
 PAYLOAD_RADIUS_MIN = 0.03
-"""Smallest radius of a payload's body [m]."""
+"""Minimum radius of a payload capsule [m]."""
 
 
 def payload_capsule(payload: Payload, link: int, radius: float | None = None) -> Capsule | None:
-    """A body for a load of which only mass and centre of mass are known; None without a load.
+    """Return a capsule for a load with known mass and centre of mass, or None without a load.
 
-    It reaches from the flange through the centre of mass and as far again behind it, with the
-    radius of an aluminium bar of that length and mass, at least 3 cm.
+    The capsule of the load begins at the flange and extends through the centre of mass to twice
+    that distance. If `radius` is None, the capsule has the radius of an aluminium bar of the same
+    length and mass, but at least 3 cm.
 
     Args:
-        payload: The load.
-        link: Number of the last link, n.
-        radius: The true radius [m], where it is known.
+        payload: Payload.
+        link: Number n of the last link.
+        radius: True radius of the load [m] if it is known.
     """
     if payload.is_empty:
         return None
@@ -112,11 +114,13 @@ def payload_capsule(payload: Payload, link: int, radius: float | None = None) ->
 
 
 PAYLOAD_DENSITY = 2700.0
-"""kg/m³, aluminium: real loads are mostly denser, so a body sized with it is rather too large."""
+"""Density of aluminium [kg/m³]; most real loads are denser, so the payload capsule is usually too
+large rather than too small.
+"""
 
 
 def _bar_radius(mass: float, length: float) -> float:
-    """Radius [m] of a bar of that length, or of a ball where that is smaller."""
+    """Return the radius [m] of a bar of this length and mass, or of a sphere if that is smaller."""
     volume = mass / PAYLOAD_DENSITY
     ball = float(np.cbrt(0.75 * volume / np.pi))
     return ball if length == 0.0 else min(ball, float(np.sqrt(volume / (np.pi * length))))
@@ -124,12 +128,12 @@ def _bar_radius(mass: float, length: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Obstacle:
-    """Something that stands around an arm.
+    """Plane or box near an arm, with the bodies that are checked against it.
 
     Attributes:
-        name: For messages.
-        shape: Its plane or box.
-        bodies: Indices of the capsules that are checked against it.
+        name: Name of the obstacle in messages.
+        shape: Plane or box that the obstacle consists of.
+        bodies: Indices of the capsules that are checked against the obstacle.
     """
 
     name: str
@@ -138,46 +142,55 @@ class Obstacle:
 
 
 NEIGHBOURS = 1
-"""Links so many joints apart are built into each other and never checked."""
+"""Number of joints between links that are mounted to each other; the distance of such links is
+never checked.
+"""
 
 FRAME_BLOCK = 1024
-"""Samples per forward kinematics."""
+"""Number of samples per call of the forward kinematics."""
 
 PAIR_BLOCK = 64
-"""Samples per evaluation of all pairs: the intermediate results stay in the L2 cache."""
+"""Number of samples per evaluation of all pairs, small enough for intermediate results to fit into
+the L2 cache.
+"""
 
 BUILT_TOGETHER_M = 0.03
-"""Bodies that no position brings further apart than this are not checked: the foot of the upper
-arm beside the base, the shoulder above the table that the base stands on."""
+"""Distance [m] that two bodies must exceed in some position for their pair to be checked.
+
+Bodies that are always closer than this distance are built together, such as the lower end of the
+upper arm and the base, or the shoulder and the table on which the base stands.
+"""
 
 NEXT_BUT_ONE = 2
-"""Links this many joints apart: their distance depends on two joints, so all positions are
-sampled."""
+"""Number of joints between two links up to which all positions are sampled.
+
+The distance of links with two joints between them depends on these two joints only.
+"""
 
 
 class CollisionModel:
-    """Distances of an arm to itself and to its environment.
+    """Distances of an arm to itself, to its payload and to its environment.
 
-    Checked: all pairs of non-neighbouring links, and moving links against table, walls and boxes.
-    Not checked: pairs two joints apart that cannot touch in any position, or that are never more
-    than `BUILT_TOGETHER_M` apart.
+    All pairs of non-neighbouring links are checked, as well as each moving link against table,
+    walls and boxes. A pair of links with two joints between them is not checked if the links cannot
+    touch in any position, or if their distance never exceeds `BUILT_TOGETHER_M`.
 
     Args:
-        arm: The arm with its capsules.
-        environment: What stands around it, in the base frame; nothing by default.
-        payload: Body of the load, in the flange frame: its `link` is the last one.
+        arm: Arm description that contains capsules.
+        environment: Obstacles in the base frame; None for no obstacles.
+        payload: Capsule of the load in the flange frame; its `link` is the number of the last link.
 
     Attributes:
-        arm: The arm.
-        capsules: Its bodies, then that of the load.
-        obstacles: What stands around it.
+        arm: Arm description.
+        capsules: Capsules of the arm, followed by the capsule of the load if there is a load.
+        obstacles: Obstacles, each with the bodies that are checked against it.
         pairs: (P, 2) indices of the capsules that are checked against each other.
-        names: (R,) the two bodies of each distance: the pairs, then every capsule and
-            what stands around it.
-        reach: (R, n) metres that a distance can change per radian of each joint, at most.
+        names: Names of the two bodies of each of the R distances: first the pairs of capsules, then
+            each capsule with each obstacle.
+        reach: (R, n) upper limit of the change of each distance per radian of each joint [m/rad].
 
     Raises:
-        SpecError: The arm has no capsules.
+        SpecError: The arm description contains no capsules.
     """
 
     def __init__(
@@ -208,18 +221,25 @@ class CollisionModel:
         self.reach = np.array(reach).reshape(-1, arm.n_joints)
 
     def clearance(self, q: FloatArray) -> FloatArray:
-        """(N,) smallest distance [m] over everything checked, for `q` (N, n); negative inside."""
+        """Return the smallest distance (N,) [m] at `q` (N, n); negative values mean penetration."""
         return np.asarray(self.distances(q).min(axis=0, initial=np.inf))
 
     def clearances(self, paths: Sequence[FloatArray], enough: float | None = None) -> FloatArray:
-        """(len(paths),) smallest clearance [m] over all samples (N, n) of each path.
+        """Return the smallest distance [m] of each path over all samples (N, n) of the path.
 
-        With `enough` [m] any one of a path's clearances, below `enough` if there is such a one.
+        Args:
+            paths: Joint positions (N, n) of each path.
+            enough: Required clearance [m]. If `enough` is passed, the returned distance of a path
+                may be any one of its distances; it is below `enough` if any distance of the path is
+                below `enough`.
         """
         return smallest_along_paths(paths, self.distances, self.reach, enough)[0]
 
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
-        """The smallest distance [m] at `q` (n,) and its two bodies; inf if nothing is checked."""
+        """Return the smallest distance [m] at `q` (n,) and the names of the two bodies.
+
+        The distance is infinite if no pair of bodies is checked.
+        """
         distances = self.distances(np.atleast_2d(q))[:, 0]
         if len(distances) == 0:
             return np.inf, ("", "")
@@ -227,11 +247,11 @@ class CollisionModel:
         return float(distances[row]), self.names[row]
 
     def copy_for_thread(self) -> CollisionModel:
-        """Return self: there is no scratch memory to share between threads."""
+        """Return the same object, because the model has no scratch memory."""
         return self
 
     def distances(self, q: FloatArray) -> FloatArray:
-        """(R, N) distance of every pair and obstacle at every sample [m], for `q` (N, n)."""
+        """Return the distances (R, N) [m] of all pairs and obstacles at `q` (N, n)."""
         out = np.empty((len(self.names), len(q)))
         for start in range(0, len(q), FRAME_BLOCK):
             block = slice(start, start + FRAME_BLOCK)
@@ -261,10 +281,11 @@ class CollisionModel:
         return np.asarray(gap - self._radii[bodies])
 
     def _can_touch(self, arm: ArmDescription, links: IntArray) -> BoolArray:
-        """(P,) which pairs to check: all, except pairs two joints apart that never or always touch.
+        """Return a mask (P,) that is true for the pairs of capsules to check.
 
-        A pair that is apart at every position tried is apart everywhere, if it is so by more than
-        it can move in half a step.
+        A pair with two joints between its links is excluded if the links never or always touch. The
+        links of a pair never touch if their distance at every sampled position exceeds their
+        largest relative motion in half a grid step.
         """
         q, half_step = _every_two_joints(arm)
         distances = self._pair_distances(*self._chain.axes(q))
@@ -289,13 +310,14 @@ class CollisionModel:
 
 
 GRID = 96
-"""Grid points per joint for finding pairs that never or always touch."""
+"""Number of grid points per joint in the search for pairs of bodies that never or always touch."""
 
 
 def _every_two_joints(arm: ArmDescription) -> tuple[FloatArray, FloatArray]:
-    """Positions (GRID², n) that try all combinations of any two joints in a row.
+    """Return joint positions (GRID², n) with all combinations of any two consecutive joints.
 
-    Also returned is half the step between them, (n,).
+    Returns:
+        Pair of the positions (GRID², n) and half the grid step (n,) [rad].
     """
     low, high = np.maximum(arm.q_min, -np.pi), np.minimum(arm.q_max, np.pi)
     grid = np.stack(np.meshgrid(*2 * [np.linspace(0.0, 1.0, GRID)]), axis=-1).reshape(-1, 2)
@@ -304,16 +326,17 @@ def _every_two_joints(arm: ArmDescription) -> tuple[FloatArray, FloatArray]:
 
 
 class FlangeSpace:
-    """Signed distances of points at the flange to planes, negative behind one.
+    """Signed distances of points at the flange to planes; a distance is negative behind its plane.
 
     Args:
-        arm: The arm.
-        faces: The planes it must stay in front of, in the base frame.
-        tip_m: How far the tip of a payload is out along the flange axis; 0 for none.
+        arm: Arm description.
+        faces: Planes in the base frame, in front of which the points of the flange must stay.
+        tip_m: Distance of the payload tip from the flange along the flange axis [m]; 0 if there is
+            no tip.
 
     Attributes:
-        names: (R,) point and plane of each distance.
-        reach: (R, n) metres that a distance can change per radian of each joint, at most.
+        names: Name of the point and name of the plane of each of the R distances.
+        reach: (R, n) upper limit of the change of each distance per radian of each joint [m/rad].
     """
 
     def __init__(self, arm: ArmDescription, faces: Sequence[Plane], tip_m: float = 0.0) -> None:
@@ -326,22 +349,22 @@ class FlangeSpace:
         self.reach = np.array(len(faces) * reach).reshape(-1, arm.n_joints)
 
     def copy_for_thread(self) -> FlangeSpace:
-        """Return self: there is no scratch memory to share between threads."""
+        """Return the same object, because a flange space has no scratch memory."""
         return self
 
     def distances(self, q: FloatArray) -> FloatArray:
-        """(R, N) distances [m] at `q` (N, n)."""
+        """Return the distances (R, N) [m] of the points to the faces at `q` (N, n)."""
         axes = self._chain.axes(q)
         gaps = [plane_distance(*axes, np.array(f.point), f.unit_normal) for f in self._faces]
         return np.concatenate(gaps)
 
 
 class CapsuleChain:
-    """The axes of capsules that move with the links of a DH arm.
+    """Axes of capsules that move with the links of a DH arm.
 
     Args:
-        arm: The arm.
-        capsules: Bodies in their links' frames; link 0 is the base.
+        arm: Arm description.
+        capsules: Capsules in the frames of their links; link 0 is the base of the arm.
     """
 
     def __init__(self, arm: ArmDescription, capsules: Sequence[Capsule]) -> None:
@@ -357,7 +380,10 @@ class CapsuleChain:
         ]
 
     def axes(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Starts and directions of all axes in the base frame, each (3, C, N), for `q` (N, n)."""
+        """Return the starts and directions of all capsule axes, each (3, C, N), at `q` (N, n).
+
+        Starts and directions of the axes are expressed in the base frame.
+        """
         out = np.empty((2, 3, len(self._capsules), len(q)))
         # Columns x, y, z and origin of the current link's frame: (3, 4, N).
         frame = np.zeros((3, 4, len(q)))
@@ -369,16 +395,16 @@ class CapsuleChain:
         return out[0], out[1]
 
     def reach(self, fixed: int, body: int) -> FloatArray:
-        """(n,) how far [m] the axis of the capsule number `body` can be from each joint axis.
+        """Return the largest distance (n,) [m] of the axis of capsule `body` from each joint axis.
 
-        Seen from link `fixed`: joints that do not move the capsule against that link have 0.
+        The distance is 0 for joints that do not move the capsule relative to link `fixed`.
         """
         capsule = self._capsules[body]
         tip = max(float(np.linalg.norm(end)) for end in (capsule.a, capsule.b))
         out = np.zeros(len(self._dh))
         for joint in range(capsule.link - 1, fixed - 1, -1):
             a, _, d, _ = self._dh[joint]
-            # d lies along the joint's own axis, so it counts from the next joint inwards only.
+            # d lies along the joint's own axis, so it only counts for joints further inwards.
             out[joint] = abs(a) + tip
             tip += float(np.hypot(a, d))
         return out
@@ -393,7 +419,7 @@ class CapsuleChain:
 
 
 def _ends(capsule: Capsule) -> FloatArray:
-    """(2, 4) start as a point and direction as a vector."""
+    """Return a capsule axis (2, 4): start as homogeneous point, direction as homogeneous vector."""
     a, b = np.array(capsule.a, dtype=np.float64), np.array(capsule.b, dtype=np.float64)
     return np.array([[*a, 1.0], [*(b - a), 0.0]])
 
@@ -401,7 +427,7 @@ def _ends(capsule: Capsule) -> FloatArray:
 def _next_frame(
     frame: FloatArray, a: float, alpha: float, d: float, angle: FloatArray
 ) -> FloatArray:
-    """Standard DH: turn about z, shift along z and the new x, turn about the new x."""
+    """Return the next standard DH frame: rotation and shift along z, then along the new x axis."""
     x, y, z, origin = frame.transpose(1, 0, 2)
     c, s = np.cos(angle), np.sin(angle)
     x, y = c * x + s * y, c * y - s * x
@@ -414,23 +440,25 @@ def _next_frame(
 
 
 TINY = 1e-18
-"""Stands for a squared length of zero, so that a sphere is a segment whose ends coincide."""
+"""Small squared length that replaces zero in divisions, so a sphere is treated as a segment with
+coinciding ends.
+"""
 
 
 def segment_distance(p: FloatArray, u: FloatArray, q: FloatArray, v: FloatArray) -> FloatArray:
-    """Distance of the segments p + s u and q + t v, 0 ≤ s, t ≤ 1.
+    """Return the distances of the segments p + s u and q + t v with 0 ≤ s, t ≤ 1.
 
-    Closest points of the lines, clamped to one segment, then to the other, then back (Ericson,
-    Real-Time Collision Detection, 2005, section 5.1.9).
+    The parameters of the closest points are clamped to the first segment, then to the second, then
+    again to the first (Ericson, Real-Time Collision Detection, 2005, section 5.1.9).
 
     Args:
         p: (3, P, N) start of the first segment [m].
-        u: (3, P, N) from its start to its end [m].
+        u: (3, P, N) vector from the start to the end of the first segment [m].
         q: (3, P, N) start of the second segment [m].
-        v: (3, P, N) from its start to its end [m].
+        v: (3, P, N) vector from the start to the end of the second segment [m].
 
     Returns:
-        (P, N) [m].
+        Distances (P, N) [m].
     """
     r = p - q
     uu, vv, uv = dot(u, u) + TINY, dot(v, v) + TINY, dot(u, v)
@@ -457,19 +485,25 @@ def _clamp(x: FloatArray) -> FloatArray:
 def plane_distance(
     p: FloatArray, u: FloatArray, point: FloatArray, normal: FloatArray
 ) -> FloatArray:
-    """(P, N) signed distance [m] of the segments p + s u to a plane; normal (3,) of length 1."""
+    """Return the signed distances (P, N) [m] of the segments p + s u to a plane.
+
+    The normal (3,) of the plane must have length 1.
+    """
     start = np.tensordot(normal, p, axes=1) - normal @ point
     return np.asarray(start + np.minimum(np.tensordot(normal, u, axes=1), 0.0))
 
 
 BISECTIONS = 20
-"""What is left of a segment 1 m long is a micrometre."""
+"""Number of bisections in the search for a minimum; they reduce an interval of 1 m to one
+micrometre.
+"""
 
 
 def box_distance(p: FloatArray, u: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """(P, N) distance [m] of the segments p + s u to a box along the axes; 0 inside.
+    """Return the distances (P, N) [m] of the segments p + s u to a box; 0 inside the box.
 
-    The squared distance is convex in s: bisection on the sign of its derivative.
+    The edges of the box are parallel to the axes of the frame. The squared distance to the box is
+    convex in s, so bisection on the sign of its derivative finds the minimum.
     """
     s_low, s_high = np.zeros(p.shape[1:]), np.ones(p.shape[1:])
     for _ in range(BISECTIONS):
@@ -482,20 +516,20 @@ def box_distance(p: FloatArray, u: FloatArray, low: FloatArray, high: FloatArray
 
 
 def _outside(x: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Vector from the nearest point of the box to x."""
+    """Return the vector from the nearest point of the box to the point x."""
     return np.asarray(x - np.clip(x, low[:, None, None], high[:, None, None]))
 
 
 def dot(x: FloatArray, y: FloatArray) -> FloatArray:
-    """(P, N) scalar products."""
+    """Return the scalar products (P, N) of two arrays of vectors."""
     return np.asarray(np.einsum("kpn,kpn->pn", x, y))
 
 
 STRIDE = 16
-"""Coarse step of the search [samples]."""
+"""Distance of the samples that are evaluated first in the search along a path [samples]."""
 
 TIE_M = 1e-9
-"""Improvements smaller than this are ignored [m]."""
+"""Improvement of a distance [m] below which the improvement is ignored."""
 
 
 def smallest_along_paths(
@@ -504,29 +538,31 @@ def smallest_along_paths(
     reach: FloatArray,
     enough: float | None = None,
 ) -> tuple[FloatArray, IntArray]:
-    """The smallest of all distances over all samples of each path, and the index of its sample.
+    """Return the smallest of all distances over the samples of each path, and its sample index.
 
-    Between samples a and b that were computed, a distance cannot fall below (d_a + d_b − s) / 2,
-    where s is how far its two bodies can have moved against each other: Σ |Δq| times the reach
-    beyond each joint. Where that is not below the smallest distance found so far on the path, the
-    samples between are skipped; elsewhere the one in the middle is computed next.
+    Between two evaluated samples a and b, a distance cannot be less than (d_a + d_b − s) / 2. In
+    the lower bound, s is the upper limit of the relative motion of the two bodies: Σ |Δq| times the
+    reach of each joint. If the lower bound is not below the smallest distance found so far on the
+    path, the samples between a and b are skipped; otherwise the middle sample is evaluated next.
 
     Args:
-        paths: (N, n) positions each, N ≥ 1.
-        distances: Gives (R, N) distances [m] for any positions (N, n).
-        reach: (R, n) metres that a distance can change per radian of each joint.
-        enough: Asks only whether each path keeps this distance [m]: found is any one of its
-            distances then, and one below `enough` if there is one.
+        paths: Joint positions (N, n) of each path, N ≥ 1.
+        distances: Function that returns the distances (R, N) [m] at joint positions (N, n).
+        reach: (R, n) upper limit of the change of each distance per radian of each joint [m/rad].
+        enough: Required distance [m]. If `enough` is passed, the search along a path stops as soon
+            as it is known whether the path keeps this distance. With `enough`, the returned
+            distance of a path may be any one of its distances; it is below `enough` if any distance
+            of the path is below `enough`.
 
     Returns:
-        Each (P,): distances [m], and samples counted from the beginning of each path.
+        Distances [m] and sample indices within each path, two arrays (P,).
 
     Raises:
-        DataError: A path has no samples, or its positions are not finite.
+        DataError: A path has no samples, or its joint positions are not finite.
     """
     if any(len(q) == 0 or not np.isfinite(q).all() for q in paths):
         raise DataError(
-            "a path without samples, or with positions that are not finite, has no clearance",
+            "the path has no samples, or positions that are not finite",
             hint="check the positions of the path",
         )
     q = np.concatenate(paths)
@@ -549,7 +585,7 @@ def smallest_along_paths(
         doubtful = np.flatnonzero(unknown & (bound < sought[path[left]]))
         if len(doubtful) == 0:
             break
-        if len(doubtful) > len(q) // 8:  # a distance that never changes: skipping does not pay
+        if len(doubtful) > len(q) // 8:  # skipping saves nothing, as for a constant distance
             rest = np.flatnonzero(np.isinf(nearest))
             for some in np.array_split(rest, 1 + len(rest) // FRAME_BLOCK):
                 nearest[some] = distances(q[some]).min(axis=0, initial=np.inf)

@@ -1,9 +1,9 @@
-"""The recursions along an arm as numba compiles them: one sample after the other, in scalars.
+"""Recursions along an arm, compiled by numba, in scalar operations for one sample at a time.
 
-The regressor's equations are in `hil.dynamics.regressor`, the constants of a joint in
-`hil.dynamics.chain`; inverse dynamics are Newton and Euler's. Compiled code is kept on disk, and
-the first call on a machine takes some seconds longer. Numba looks for changes in the file of the
-compiled function only, which is why all steps are in this one.
+The equations of the regressor are given in `hil.dynamics.regressor`, and the joint constants in
+`hil.dynamics.chain`. The inverse dynamics follow the Newton–Euler recursion. The compiled code is
+cached on disk, so the first call on a machine takes some seconds longer. Numba detects only changes
+in the file of the compiled function, so all compiled steps are in this file.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from hil.core import BoolArray, FloatArray, IntArray
 from hil.dynamics.chain import Chain
 
 OMEGA, ALPHA, ACCELERATION = 0, 1, 2
-"""Rows of what is known of one link's motion, in its own frame."""
+"""Row numbers in the array with the motion of one link, expressed in the link's own frame."""
 
 Compiled = TypeVar("Compiled", bound=Callable[..., None])
 
 
 def compiled(function: Compiled) -> Compiled:
-    """Compiled by numba; kept on disk where there is a folder that can be written."""
+    """Compile a function with numba; the compiled code is cached on disk if possible."""
     try:
         return cast("Compiled", njit(function, cache=True, error_model="numpy"))
     except RuntimeError:
@@ -32,13 +32,16 @@ def compiled(function: Compiled) -> Compiled:
 
 
 def inlined(function: Compiled) -> Compiled:
-    """Part of every compiled function that calls it, which is faster and compiles once."""
+    """Compile a function as an inlined part of every compiled function that calls it.
+
+    Inlined functions run faster, and each of them is compiled only one time.
+    """
     return cast("Compiled", njit(function, inline="always", error_model="numpy"))
 
 
 @inlined
 def turn(R: FloatArray, i: int, vectors: FloatArray, j: int) -> None:
-    """Turn row j of vectors (m, 3) in place by R[i]."""
+    """Multiply row j of an array of vectors (m, 3) in place by R[i]."""
     x, y, z = vectors[j, 0], vectors[j, 1], vectors[j, 2]
     vectors[j, 0] = R[i, 0, 0] * x + R[i, 0, 1] * y + R[i, 0, 2] * z
     vectors[j, 1] = R[i, 1, 0] * x + R[i, 1, 1] * y + R[i, 1, 2] * z
@@ -49,7 +52,7 @@ def turn(R: FloatArray, i: int, vectors: FloatArray, j: int) -> None:
 def add_cross(
     a: FloatArray, i: int, b: FloatArray, j: int, factor: float, out: FloatArray, k: int
 ) -> None:
-    """Add row i of a × row j of b, times a factor, to row k of `out`."""
+    """Add the cross product of row i of a and row j of b, times a factor, to row k of `out`."""
     x, y, z = factor * b[j, 0], factor * b[j, 1], factor * b[j, 2]
     out[k, 0] += a[i, 1] * z - a[i, 2] * y
     out[k, 1] += a[i, 2] * x - a[i, 0] * z
@@ -58,7 +61,7 @@ def add_cross(
 
 @inlined
 def start(gravity: FloatArray, body: FloatArray, K: FloatArray) -> None:
-    """The base stands still, which gravity makes an acceleration upwards."""
+    """Set the motion of the static base; gravity appears as an upward acceleration of the base."""
     for k in range(3):
         body[OMEGA, k], body[ALPHA, k], body[ACCELERATION, k] = 0.0, 0.0, -gravity[k]
         K[k, 0], K[k, 1], K[k, 2] = 0.0, 0.0, 0.0
@@ -66,7 +69,7 @@ def start(gravity: FloatArray, body: FloatArray, K: FloatArray) -> None:
 
 @inlined
 def curl(body: FloatArray, K: FloatArray) -> None:
-    """K = [α]× + [ω]×², (3, 3)."""
+    """Compute K = [α]× + [ω]×², (3, 3)."""
     wx, wy, wz = body[OMEGA, 0], body[OMEGA, 1], body[OMEGA, 2]
     ax, ay, az = body[ALPHA, 0], body[ALPHA, 1], body[ALPHA, 2]
     K[0, 0], K[0, 1], K[0, 2] = -(wy * wy + wz * wz), wx * wy - az, wx * wz + ay
@@ -84,7 +87,7 @@ def place(
     R: FloatArray,
     origin: FloatArray,
 ) -> None:
-    """Where joint i is in the frame before, and the rotation from there into its own."""
+    """Compute the origin of joint i in the previous frame, and the rotation to its own frame."""
     constant, cosine, sine = rotations
     cos, sin = np.cos(q), np.sin(q)
     for k in range(3):
@@ -105,7 +108,7 @@ def carry(
     body: FloatArray,
     K: FloatArray,
 ) -> None:
-    """From the motion of the link before, and its K, to those of link i."""
+    """Compute the motion and the matrix K of link i from those of the previous link."""
     for k in range(3):
         body[ACCELERATION, k] += (
             K[k, 0] * origin[i, 0] + K[k, 1] * origin[i, 1] + K[k, 2] * origin[i, 2]
@@ -128,7 +131,10 @@ def carry(
 def columns(
     body: FloatArray, K: FloatArray, w: FloatArray, v: FloatArray, j: int, row: FloatArray
 ) -> None:
-    """What the link's ten parameters do to joint j, whose unit speed moves it by w and v."""
+    """Compute the effect of the ten parameters of a link on the torque of joint j.
+
+    At unit speed, joint j moves the link with the angular velocity w and the linear velocity v.
+    """
     a0, a1, a2 = body[ACCELERATION, 0], body[ACCELERATION, 1], body[ACCELERATION, 2]
     w0, w1, w2, v0, v1, v2 = w[j, 0], w[j, 1], w[j, 2], v[j, 0], v[j, 1], v[j, 2]
     x = w0 * 0.5 * (K[1, 2] + K[2, 1])
@@ -156,9 +162,12 @@ def fill_regressor(
     kinds: IntArray,
     out: FloatArray,
 ) -> None:
-    """Columns first[i] to first[i + 1] of `out` (N, n, k): of link i, those of these kinds."""
+    """Fill the array `out` (N, n, k) with the regressor.
+
+    The columns first[i] to first[i + 1] belong to those parameters of link i that `kinds` lists.
+    """
     n = q.shape[1]
-    # Arrays by themselves: what is looked up in a tuple is looked up again for every sample.
+    # Unpacked, because numba would look up tuple entries again for every sample.
     gravity, turns, axis, constant, cosine, sine, offset, slide = chain
     rotations = (constant, cosine, sine)
     w, v, body = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((3, 3))
@@ -185,7 +194,7 @@ def fill_regressor(
 def wrench(
     p: FloatArray, i: int, body: FloatArray, K: FloatArray, f: FloatArray, t: FloatArray
 ) -> None:
-    """Force and torque about its origin that link i with parameters p[i] (10,) needs."""
+    """Compute force and torque about the frame origin of link i from its parameters p[i] (10,)."""
     a0, a1, a2 = body[ACCELERATION, 0], body[ACCELERATION, 1], body[ACCELERATION, 2]
     w0, w1, w2 = body[OMEGA, 0], body[OMEGA, 1], body[OMEGA, 2]
     l0, l1, l2 = body[ALPHA, 0], body[ALPHA, 1], body[ALPHA, 2]
@@ -202,7 +211,7 @@ def wrench(
 
 @inlined
 def turn_back(R: FloatArray, i: int, vectors: FloatArray) -> None:
-    """Turn row i of vectors (n, 3) in place by the inverse of R[i]."""
+    """Multiply row i of an array of vectors (n, 3) in place by the inverse of R[i]."""
     x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
     for k in range(3):
         vectors[i, k] = R[i, 0, k] * x + R[i, 1, k] * y + R[i, 2, k] * z
@@ -218,9 +227,9 @@ def fill_torques(
     rotor: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Joint torques (N, n) of links with parameters (n, 10) and rotors (n,)."""
+    """Fill `out` (N, n) with the joint torques of links with parameters (n, 10) and rotors (n,)."""
     n = q.shape[1]
-    # Arrays by themselves: what is looked up in a tuple is looked up again for every sample.
+    # Unpacked, because numba would look up tuple entries again for every sample.
     gravity, turns, axis, constant, cosine, sine, offset, slide = chain
     rotations = (constant, cosine, sine)
     body, f, t = np.zeros((3, 3)), np.zeros((n, 3)), np.zeros((n, 3))

@@ -1,4 +1,4 @@
-"""An arm's description in DH convention from its URDF, the two compared before it is given."""
+"""Conversion of a URDF to an arm description in DH convention, and comparison of the two."""
 
 from __future__ import annotations
 
@@ -12,24 +12,28 @@ from hil.core import FloatArray, SpecError
 from hil.dynamics.build import joint_geometry, model_from_urdf, model_of_dh
 
 PARALLEL = 1e-6
-"""Sine of the angle below which two axes count as parallel."""
+"""Sine of the angle below which two joint axes are treated as parallel."""
 ON_AXIS_M = 1e-6
 AGREE_NM = 1e-6
-"""Torques of URDF and description may differ by so much; lengths are kept to a nanometre."""
+"""Maximum permitted difference of the torques of URDF and arm description [N·m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Described:
-    """What a URDF says of an arm, in standard (distal) DH frames and SI units.
+    """Content of a URDF, converted to standard (distal) DH frames and SI units.
 
     Attributes:
-        joint_names, link_names: Length n.
-        dh: (n, 4) rows of a [m], alpha [rad], d [m], theta offset [rad].
-        q_min, q_max: [rad]; infinite for endless joints.
-        qd_max, effort_max: [rad/s], [N·m]; 0 where the URDF says nothing.
-        mass, com, inertia: (n,), (n, 3) in the link's DH frame, (n, 3, 3) about the centre.
-        axes: (n, 2, 3) each link from its joint's origin to the next one's, in its DH frame [m].
-        rotor_inertia: (n,) of `armature=` [kg·m²], which no description takes; 0 where it is not.
+        joint_names, link_names: Names of the n joints and the n links.
+        dh: (n, 4) DH parameters, one row per joint: a [m], alpha [rad], d [m], theta offset [rad].
+        q_min, q_max: (n,) position limits [rad]; infinite for continuous joints.
+        qd_max, effort_max: (n,) limits of velocity [rad/s] and torque [N·m]; 0 if the URDF contains
+            no limit.
+        mass, com, inertia: (n,) masses, (n, 3) centres of mass in the DH frames of the links, and
+            (n, 3, 3) inertias about the centres of mass.
+        axes: (n, 2, 3) line of each link from the origin of its joint to the origin of the next
+            joint, in the DH frame of the link [m].
+        rotor_inertia: (n,) values of the attribute `armature` [kg·m²], which arm descriptions do
+            not contain; 0 if missing.
     """
 
     joint_names: tuple[str, ...]
@@ -47,16 +51,19 @@ class Described:
 
 
 def described(path: Path) -> Described:
-    """The arm of a URDF.
+    """Return the arm described by a URDF in DH convention.
 
     Raises:
-        SpecError: The file cannot be used, an axis slides, a link has no mass, or the first axis is
-            not the z axis of the base.
+        SpecError: The file cannot be used, a joint is prismatic, a link has no mass, or the first
+            joint axis is not the z axis of the base.
     """
     model, flange = model_from_urdf(path)
     geometry = joint_geometry(model)
     if not geometry.turns.all():
-        raise SpecError(f"{path}: a joint slides, and DH arms here only turn")
+        raise SpecError(
+            f"{path}: the arm has a prismatic joint, but the DH description supports "
+            "revolute joints only"
+        )
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
     pin.updateFramePlacements(model, data)
@@ -74,8 +81,8 @@ def described(path: Path) -> Described:
         dh=dh,
         q_min=np.array(model.lowerPositionLimit),
         q_max=np.array(model.upperPositionLimit),
-        qd_max=_told(model.velocityLimit),
-        effort_max=_told(model.effortLimit),
+        qd_max=_finite_limits(model.velocityLimit),
+        effort_max=_finite_limits(model.effortLimit),
         mass=np.array([body.mass for body in bodies]),
         com=np.array([_within(f, b.lever) for f, b in zip(frames, bodies, strict=True)]),
         inertia=np.array(
@@ -84,24 +91,24 @@ def described(path: Path) -> Described:
         axes=_segments(frames, np.vstack([origins, data.oMf[flange].translation])),
         rotor_inertia=np.array(model.armature),
     )
-    model.armature = np.zeros(model.nv)  # what is compared below are the links alone
+    model.armature = np.zeros(model.nv)  # the comparison below covers only the links
     _require_bodies(path, found)
     _compare(path, model, found)
     return found
 
 
 def _within(frame: FloatArray, point: FloatArray) -> FloatArray:
-    """A point of the base frame (3,) in a frame (4, 4)."""
+    """Return a point (3,) of the base frame, expressed in a frame (4, 4)."""
     return np.asarray(frame[:3, :3].T @ (point - frame[:3, 3]))
 
 
-def _told(limits: FloatArray) -> FloatArray:
-    """Limits, 0 where there are none."""
+def _finite_limits(limits: FloatArray) -> FloatArray:
+    """Return joint limits in which missing (infinite) limits are 0."""
     return np.where(np.isfinite(limits) & (np.array(limits) < 1e6), limits, 0.0)
 
 
 def _links(model: pin.Model) -> tuple[str, ...]:
-    """The first link that each joint carries."""
+    """Return the name of the first link that is attached to each joint."""
     names: dict[int, str] = {}
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY:
@@ -112,9 +119,10 @@ def _links(model: pin.Model) -> tuple[str, ...]:
 def _require_base(path: Path, axis: FloatArray, origin: FloatArray) -> None:
     if axis[2] < 1 - PARALLEL or np.hypot(*origin[:2]) > ON_AXIS_M:
         raise SpecError(
-            f"{path}: the first joint turns about {_vector(axis)} through {_vector(origin)}; "
-            "an arm is described in a frame whose z axis it turns about",
-            hint="lay the URDF's first link so that its z axis is that of the first joint",
+            f"{path}: the axis of the first joint is {_vector(axis)} through {_vector(origin)}, "
+            "but must be the z axis of the base frame",
+            hint="move the first link's frame in the URDF so that its z axis is the axis of the "
+            "first joint",
         )
 
 
@@ -126,22 +134,23 @@ def _require_bodies(path: Path, found: Described) -> None:
     empty = [name for name, mass in zip(found.link_names, found.mass, strict=True) if mass <= 0]
     if empty:
         raise SpecError(
-            f"{path}: {', '.join(empty)} weighs nothing, and nothing can be simulated so",
-            hint="give every link an <inertial>, if only an estimate: it is a start, no truth",
+            f"{path}: the mass of {', '.join(empty)} is zero, but a simulation needs masses "
+            "above zero",
+            hint="give every link an <inertial>; a rough estimate is sufficient as a start",
         )
     least, *_, most = np.linalg.eigvalsh(found.inertia).T
     odd = [found.link_names[j] for j in np.flatnonzero(least < -PARALLEL * np.abs(most))]
     if odd:
         raise SpecError(
-            f"{path}: {', '.join(odd)} has an inertia that no body has",
-            hint="mend its <inertia>: ixx, iyy and izz are above 0, the others smaller",
+            f"{path}: the inertia of {', '.join(odd)} is not physically possible",
+            hint="correct its <inertia>: ixx, iyy and izz must be above 0, the others smaller",
         )
 
 
 def _frames(
     axes: FloatArray, origins: FloatArray, flange: pin.SE3
 ) -> tuple[list[FloatArray], FloatArray]:
-    """DH frames 1…n (4×4) at q = 0, and their parameters (n, 4)."""
+    """Return the DH frames 1…n (4×4) at q = 0, and the DH parameters (n, 4)."""
     frame = np.eye(4)
     frames, rows = [], []
     for i in range(len(axes)):
@@ -154,7 +163,7 @@ def _frames(
 
 
 def _next(frame: FloatArray, axis: FloatArray, point: FloatArray) -> FloatArray:
-    """The frame with z along the next axis and x along the common normal of both."""
+    """Return the frame with z along the next axis and x along the common normal of both axes."""
     z, x_before, origin = frame[:3, 2], frame[:3, 0], frame[:3, 3]
     normal = np.cross(z, axis)
     across = point - origin - z * (z @ (point - origin))
@@ -173,7 +182,7 @@ def _next(frame: FloatArray, axis: FloatArray, point: FloatArray) -> FloatArray:
 
 
 def _flange(frame: FloatArray, flange: pin.SE3) -> FloatArray:
-    """The flange itself where the last axis is its z axis, else a frame on that axis."""
+    """Return the flange frame if its z axis is the last joint axis, else a frame on that axis."""
     z, x_before, origin = frame[:3, 2], frame[:3, 0], frame[:3, 3]
     along = z * (z @ (flange.translation - origin))
     is_it = flange.rotation[:, 2] @ z > 1 - PARALLEL
@@ -188,7 +197,7 @@ def _frame(x: FloatArray, z: FloatArray, origin: FloatArray) -> FloatArray:
 
 
 def _row(before: FloatArray, after: FloatArray) -> list[float]:
-    """a, alpha, d, theta that lead from one frame to the next."""
+    """Return the DH parameters a, alpha, d, theta of the transformation between two frames."""
     step = np.linalg.inv(before) @ after
     theta = np.arctan2(step[1, 0], step[0, 0])
     alpha = np.arctan2(step[2, 1], step[2, 2])
@@ -203,7 +212,7 @@ def _segments(frames: list[FloatArray], points: FloatArray) -> FloatArray:
 
 
 def _compare(path: Path, model: pin.Model, found: Described) -> None:
-    """Torques by both at random states: a description that is another arm is worse than none."""
+    """Raise if the torques of URDF and arm description differ at random states."""
     again = model_of_dh(found.dh, found.mass, found.com, found.inertia)
     rng = np.random.default_rng(0)
     one, two = model.createData(), again.createData()
@@ -212,7 +221,7 @@ def _compare(path: Path, model: pin.Model, found: Described) -> None:
         miss = np.abs(pin.rnea(model, one, *state) - pin.rnea(again, two, *state)).max()
         if not miss < AGREE_NM:
             raise SpecError(
-                f"{path}: its description in DH convention would be another arm (torques differ "
-                f"by {miss:.3g} N·m)",
-                hint="see whether its axes are those of a serial arm; fixed links are merged",
+                f"{path}: the description in DH convention does not reproduce the torques of the "
+                f"URDF (difference {miss:.3g} N·m)",
+                hint="check that the axes are those of a serial arm; fixed links are merged",
             )

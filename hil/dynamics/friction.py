@@ -1,4 +1,4 @@
-"""Friction as columns of a regressor, shared by all estimators that are linear in friction."""
+"""Friction columns of a regressor, used by all estimators that are linear in friction."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ from hil.core import FloatArray
 
 
 def friction_terms(qd: FloatArray, sign_width: float = 0.01) -> dict[str, FloatArray]:
-    """Coulomb, viscous and offset terms of every joint, each (N, n).
+    """Return the Coulomb, viscous and offset terms of every joint, each (N, n).
 
     Args:
         qd: (N, n) joint velocities [rad/s].
-        sign_width: Velocity scale of tanh(qd / width), which stands for sign(qd) [rad/s]: recorded
-            velocities at rest are noise, or exactly 0. 0 gives the hard sign.
+        sign_width: Width of tanh(qd / width) [rad/s], which replaces sign(qd) because recorded
+            velocities at standstill are noise or exactly 0. A `sign_width` of 0 gives the hard sign
+            function.
     """
     sign = np.tanh(qd / sign_width) if sign_width > 0 else np.sign(qd)
     return {"coulomb": sign, "viscous": np.array(qd), "offset": np.ones_like(qd)}
 
 
 def joint_columns(terms: Mapping[str, FloatArray]) -> FloatArray:
-    """(N·n, k·n) regressor of k terms (N, n): every joint has k columns of its own, joint by joint.
+    """Return the regressor (N·n, k·n) of k friction terms (N, n), with k columns per joint.
 
-    Rows are sample-major as in `RobotModel.regressor`; column j·k + i is term i of joint j.
+    The rows of the regressor are ordered by sample, as in `RobotModel.regressor`. The column with
+    index j·k + i is term i of joint j.
     """
     stacked = np.stack(list(terms.values()), axis=-1)
     samples, joints, k = stacked.shape

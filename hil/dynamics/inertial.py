@@ -1,20 +1,22 @@
-"""The ten inertial parameters of a rigid body, in Pinocchio's order, and how they change frame.
+"""The ten inertial parameters of a rigid body in the order of Pinocchio, and their transformations.
 
-Order: m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz; mx = m·cx is the first moment, the inertia is
-about the *origin* of the frame (not the centre of mass), so torques are linear in all ten.
+The order of the inertial parameters is m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz. The parameter
+mx = m·cx is the first moment of the body along x. The inertia refers to the *origin* of the frame
+and not to the centre of mass; torques are therefore linear in all ten parameters.
 
-Ten parameters φ belong to a body that can exist when its pseudo-inertia
+Ten parameters φ are physically consistent if their pseudo-inertia
 
     J = [[Σ, h], [hᵀ, m]],  Σ = ½ tr(I)·1 − I,
 
-the second moments of its mass density about the frame's origin, is positive definite (Wensing, Kim
-& Slotine, RA-L 2018). J = U Uᵀ with an upper triangle U whose diagonal is written as exponentials
-then has ten free coordinates θ, the log-Cholesky ones of Rucker & Wensing (RA-L 2022):
+which contains the second moments of the mass density about the origin of the frame, is positive
+definite (Wensing, Kim & Slotine, RA-L 2018). J = U Uᵀ with an upper triangular matrix U, whose
+diagonal is written as exponentials, has ten free coordinates θ: the log-Cholesky coordinates of
+Rucker & Wensing (RA-L 2022):
 
     U = e^α [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3], [0, 0, 0, 1]].
 
-The mass is e^2α and t the centre of mass. Every function takes any number of bodies (…, 10), in the
-order of `hil.dynamics.inertial.PARAMETERS`.
+In the matrix U, the mass is e^2α and t is the centre of mass. All functions of parameter arrays (…,
+10) accept any number of bodies.
 """
 
 from __future__ import annotations
@@ -29,12 +31,12 @@ PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
 
 def body_parameters(mass: float, com: ArrayLike, inertia: ArrayLike) -> FloatArray:
-    """(10,) parameters about the frame's origin.
+    """Return the parameters (10,) of a body about the origin of the frame.
 
     Args:
-        mass: [kg].
+        mass: Mass [kg].
         com: (3,) centre of mass in the frame [m].
-        inertia: (3, 3) about the centre of mass, frame axes [kg·m²].
+        inertia: (3, 3) inertia about the centre of mass, along the axes of the frame [kg·m²].
     """
     c = skew(np.asarray(com, dtype=np.float64))
     about_origin = np.asarray(inertia) - mass * c @ c
@@ -47,10 +49,10 @@ def _pack(m: float, h: FloatArray, inertia: FloatArray) -> FloatArray:
 
 
 def about_centre(body: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Inverse of `body_parameters`: mass, its centre (3,) and the inertia (3, 3) about that.
+    """Return mass, centre of mass (3,), and inertia (3, 3) about the centre of mass of a body.
 
     Args:
-        body: (10,) parameters about the frame's origin; with mass.
+        body: (10,) parameters about the origin of the frame; the mass of the body must not be zero.
     """
     mass, h, inertia = _unpack(body)
     com = h / mass
@@ -65,21 +67,21 @@ def _unpack(parameters: FloatArray) -> tuple[float, FloatArray, FloatArray]:
 
 
 def payload_parameters(payload: Payload) -> FloatArray:
-    """(10,) parameters of a load about the origin of the flange frame."""
+    """Return the parameters (10,) of a payload about the origin of the flange frame."""
     return body_parameters(payload.mass, payload.com, payload_inertia(payload))
 
 
 def payload_inertia(payload: Payload) -> FloatArray:
-    """(3, 3) inertia about the load's centre of mass, flange axes [kg·m²]."""
+    """Return the inertia (3, 3) of a payload about its centre of mass, in flange axes [kg·m²]."""
     xx, yy, zz, xy, xz, yz = payload.inertia
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=np.float64)
 
 
 def transfer_matrix(pose: FloatArray) -> FloatArray:
-    """(10, 10) X with φ_parent = X φ_child.
+    """Return the matrix X (10, 10) that transforms parameters: φ_parent = X φ_child.
 
     Args:
-        pose: (4, 4) of the child frame in the parent frame.
+        pose: (4, 4) pose of the child frame in the parent frame.
     """
     R, p = pose[:3, :3], pose[:3, 3]
     columns = []
@@ -93,13 +95,13 @@ def transfer_matrix(pose: FloatArray) -> FloatArray:
 
 
 def skew(v: FloatArray) -> FloatArray:
-    """(3, 3) matrix of the cross product v ×."""
+    """Return the matrix (3, 3) of the cross product v × with a vector v."""
     x, y, z = v
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def pseudo_inertia(parameters: FloatArray) -> FloatArray:
-    """(…, 4, 4) pseudo-inertias J of parameters (…, 10)."""
+    """Return the pseudo-inertias J (…, 4, 4) of parameters (…, 10)."""
     m, mx, my, mz, xx, xy, yy, xz, yz, zz = np.moveaxis(np.asarray(parameters, float), -1, 0)
     half = 0.5 * (xx + yy + zz)
     rows = [
@@ -112,7 +114,7 @@ def pseudo_inertia(parameters: FloatArray) -> FloatArray:
 
 
 def from_pseudo_inertia(J: FloatArray) -> FloatArray:
-    """(…, 10) parameters of symmetric pseudo-inertias (…, 4, 4); linear in J."""
+    """Return the parameters (…, 10) of symmetric pseudo-inertias J (…, 4, 4); linear in J."""
     x, y, z = J[..., 0, 0], J[..., 1, 1], J[..., 2, 2]
     entries = (
         J[..., 3, 3], J[..., 0, 3], J[..., 1, 3], J[..., 2, 3],
@@ -122,24 +124,33 @@ def from_pseudo_inertia(J: FloatArray) -> FloatArray:
 
 
 def least_eigenvalue(parameters: FloatArray) -> FloatArray:
-    """(…) smallest eigenvalue of J; above 0 for a body that can exist. Its unit is mixed."""
+    """Return the smallest eigenvalue (…) of the pseudo-inertia; positive for a consistent body.
+
+    The eigenvalue of the pseudo-inertia has mixed units.
+    """
     return np.asarray(np.linalg.eigvalsh(pseudo_inertia(parameters))[..., 0])
 
 
 def is_consistent(parameters: FloatArray) -> BoolArray:
-    """(…) whether J is positive definite: mass, principal moments and their triangle inequality."""
+    """Return whether the pseudo-inertia J of each body is positive definite (…).
+
+    A positive definite J implies a positive mass, positive principal moments, and the triangle
+    inequality of these moments.
+    """
     return np.asarray(least_eigenvalue(parameters) > 0.0)
 
 
 def nearest_consistent(parameters: FloatArray, share: float = 1e-6) -> FloatArray:
-    """(…, 10) the parameters with the nearest J whose eigenvalues reach a share of the largest.
+    """Return the parameters (…, 10) whose pseudo-inertia J is the nearest consistent one.
 
-    Bodies that do so already stay as they are. Nearest is meant in the Frobenius norm of J; a body
-    without any mass gets the share of 1 kg and 1 kg·m².
+    All eigenvalues of the returned J are at least `share` times its largest eigenvalue. Bodies
+    whose J already satisfies this condition are returned unchanged. The distance between
+    pseudo-inertias J is measured in the Frobenius norm. For a body without mass, the minimum
+    eigenvalue is the share of 1 kg and 1 kg·m².
 
     Args:
-        parameters: (…, 10).
-        share: Least eigenvalue over the largest one, above 0.
+        parameters: (…, 10) parameters.
+        share: Minimum permitted ratio of the smallest to the largest eigenvalue of J, above 0.
     """
     J = pseudo_inertia(parameters)
     values, vectors = np.linalg.eigh(J)
@@ -154,24 +165,27 @@ def nearest_consistent(parameters: FloatArray, share: float = 1e-6) -> FloatArra
 _DIAGONAL = (0, 1, 2)
 
 _UPPER = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
-"""Entries of U that s12, s23, s13, t1, t2, t3 stand for."""
+"""Indices in U of s12, s23, s13, t1, t2, t3."""
 
 
 def to_coordinates(parameters: FloatArray) -> FloatArray:
-    """(…, 10) log-Cholesky coordinates θ of consistent parameters.
+    """Return the log-Cholesky coordinates θ (…, 10) of physically consistent parameters.
 
-    Order of θ: α, d1, d2, d3, s12, s23, s13, and the centre of mass t1, t2, t3 [m].
+    The order of the coordinates θ is α, d1, d2, d3, s12, s23, s13, and the centre of mass t1, t2,
+    t3 [m].
 
     Raises:
-        FitError: A pseudo-inertia is not positive definite, so that it has no such coordinates.
+        FitError: A pseudo-inertia is not positive definite, so its body has no log-Cholesky
+            coordinates.
     """
     J = pseudo_inertia(parameters)
     if not np.all(np.isfinite(J)) or not np.all(is_consistent(parameters)):
         raise FitError(
-            "inertial parameters of a body that cannot exist have no log-Cholesky coordinates",
+            "inertial parameters that are not physically consistent have no log-Cholesky "
+            "coordinates",
             hint="replace them with nearest_consistent(parameters) first",
         )
-    # J = U Uᵀ with an upper triangle is the ordinary decomposition seen from the last row up.
+    # J = U Uᵀ with upper U is the Cholesky factorisation of J with reversed rows and columns.
     U = np.linalg.cholesky(J[..., ::-1, ::-1])[..., ::-1, ::-1]
     scale = U[..., 3, 3]
     unit = U / scale[..., None, None]
@@ -181,7 +195,7 @@ def to_coordinates(parameters: FloatArray) -> FloatArray:
 
 
 def triangle(theta: FloatArray) -> FloatArray:
-    """(…, 4, 4) upper triangles U of coordinates θ (…, 10), with J = U Uᵀ."""
+    """Return the upper triangular matrices U (…, 4, 4) of coordinates θ (…, 10), with J = U Uᵀ."""
     theta = np.asarray(theta, dtype=np.float64)
     U = np.zeros((*theta.shape[:-1], 4, 4))
     for i in _DIAGONAL:
@@ -193,13 +207,13 @@ def triangle(theta: FloatArray) -> FloatArray:
 
 
 def from_coordinates(theta: FloatArray) -> FloatArray:
-    """(…, 10) parameters φ(θ), always those of a body that can exist."""
+    """Return the inertial parameters φ(θ) (…, 10), which are always physically consistent."""
     U = triangle(theta)
     return from_pseudo_inertia(U @ np.swapaxes(U, -1, -2))
 
 
 def triangle_jacobian(theta: FloatArray) -> FloatArray:
-    """(…, 10, 4, 4) ∂U/∂θₖ."""
+    """Return the derivatives ∂U/∂θₖ (…, 10, 4, 4)."""
     theta = np.asarray(theta, dtype=np.float64)
     scale = np.exp(theta[..., 0])
     slope = np.zeros((*theta.shape, 4, 4))
@@ -212,17 +226,18 @@ def triangle_jacobian(theta: FloatArray) -> FloatArray:
 
 
 def coordinate_jacobian(theta: FloatArray) -> FloatArray:
-    """(…, 10, 10) ∂φ/∂θ, exact: dJ = dU Uᵀ + U dUᵀ."""
+    """Return the derivatives ∂φ/∂θ (…, 10, 10), computed exactly from dJ = dU Uᵀ + U dUᵀ."""
     half = triangle_jacobian(theta) @ np.swapaxes(triangle(theta), -1, -2)[..., None, :, :]
     slope = from_pseudo_inertia(half + np.swapaxes(half, -1, -2))
     return np.swapaxes(slope, -1, -2)
 
 
 def divergence(parameters: FloatArray, prior: FloatArray) -> FloatArray:
-    """(…) Bregman divergence of −log det from a prior: tr(J₀⁻¹J) − log det(J₀⁻¹J) − 4.
+    """Return the Bregman divergence (…) of −log det from a prior: tr(J₀⁻¹J) − log det(J₀⁻¹J) − 4.
 
-    Zero for the prior alone and infinite at the border of what can exist; it depends neither on the
-    frame nor on units (Lee, Wensing & Park, T-RO 2020, entropic distance).
+    The divergence is zero only at the prior, and infinite at the limit of physical consistency. The
+    divergence is independent of the frame and of the units (Lee, Wensing & Park, T-RO 2020,
+    entropic distance).
     """
     ratio = np.linalg.solve(pseudo_inertia(prior), pseudo_inertia(parameters))
     sign, log_det = np.linalg.slogdet(ratio)

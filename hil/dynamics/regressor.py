@@ -1,19 +1,21 @@
-"""Joint-torque regressors of many samples at once.
+"""Joint-torque regressors, computed for many samples at once.
 
-The equations of motion are linear in the inertial parameters of every link. In the frame of link
-i, with the acceleration a of its origin (gravity taken off), its angular velocity ω and
-acceleration α, the force and the torque about the origin are (Atkeson, An & Hollerbach 1986)
+The equations of motion of an arm are linear in the inertial parameters of every link. In the frame
+of link i, let a be the acceleration of the frame's origin (minus gravity), ω the angular velocity
+of the link and α its angular acceleration. The force and the torque on link i about the origin are
+(Atkeson, An & Hollerbach 1986)
 
     f = m a + K mc            K = [α]× + [ω]×²
     n = mc × a + I α + ω × I ω.
 
-Joint j ≤ i feels w·n + v·f, with w its axis and v the velocity that its unit speed gives to the
-origin of frame i. So axes and velocities travel outwards with the recursion, and each link adds
-ten columns for itself and the joints before it; nothing is summed up on the way back.
+The torque of joint j ≤ i due to link i is w·n + v·f. In this torque, w is the axis of joint j, and
+v is the velocity of the origin of frame i per unit speed of joint j. The recursion propagates axes
+and velocities outwards. Each link adds ten columns for its own joint and all joints before it, so
+no backward pass is needed.
 
-Where numba is installed the recursion is compiled (`hil.dynamics.compiled`), four to five times as
-fast as a loop over Pinocchio; elsewhere, and for a few samples, it is that loop. The two agree to
-rounding.
+If numba is installed, the recursion is compiled (`hil.dynamics.compiled`), which is four to five
+times as fast as a loop over Pinocchio. The loop over Pinocchio is used without numba, and for few
+samples. Recursion and loop give the same regressor up to rounding.
 """
 
 from __future__ import annotations
@@ -31,22 +33,28 @@ from hil.dynamics.inertial import PARAMETERS
 BODY = len(PARAMETERS)
 
 COMPILED_FROM = 8192
-"""Samples from which compiled code is used. Loading it takes as long as a loop over 50,000 samples,
-compiling it, once on a machine, as long as one over a million: not for short recordings."""
+"""Minimum number of samples for which the compiled code is used.
+
+Loading the compiled code takes as long as a loop over 50,000 samples. Compiling the code, which
+happens one time per machine, takes as long as a loop over a million samples. Compiled code is
+therefore not used for short recordings.
+"""
 
 
 class Regressor:
-    """Chosen columns of the regressor of one robot.
+    """Calculator of selected regressor columns of one robot.
 
-    Holds scratch memory: share it between processes, not between threads.
+    An instance contains scratch memory, so it can be shared between processes, but not between
+    threads.
 
     Args:
-        model: The robot.
-        chain: Its constants.
-        columns: (k,) which of the 11·n columns of `RobotModel.parameters` are wanted, ascending.
+        model: Pinocchio model of the robot.
+        chain: Joint constants of the robot.
+        columns: (k,) ascending indices of the columns among the 11·n columns of
+            `RobotModel.parameters`.
 
     Raises:
-        DataError: There is no such column, or they do not ascend.
+        DataError: A requested column does not exist, or the indices are not ascending.
     """
 
     def __init__(self, model: pin.Model, chain: Chain, columns: IntArray) -> None:
@@ -61,7 +69,7 @@ class Regressor:
         self._first = np.searchsorted(link, np.arange(n + 1))
 
     def __call__(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """(N·n, k) for motions (N, n), sample-major."""
+        """Return the selected columns (N·n, k) for motions (N, n), with rows ordered by sample."""
         out = np.zeros((len(q), q.shape[1], len(self.columns)))
         if compiles(len(q)):
             from hil.dynamics.compiled import fill_regressor
@@ -69,7 +77,7 @@ class Regressor:
             fill_regressor(self._chain, q, qd, qdd, self._first, self._kinds, out)
         else:
             self._loop(q, qd, qdd, out)
-        # Pinocchio leaves the rotor inertias out; their columns hold qdd.
+        # Pinocchio omits the rotor inertias; their columns contain qdd.
         for place, joint in zip(self._rotor, self._joint, strict=True):
             out[:, joint, place] = qdd[:, joint]
         return out.reshape(-1, len(self.columns))
@@ -87,14 +95,14 @@ class Regressor:
 def _ascending(columns: IntArray, count: int) -> IntArray:
     if np.any(np.diff(columns) <= 0) or not np.all((columns >= 0) & (columns < count)):
         raise DataError(
-            f"the columns {columns} of a regressor of {count} columns do not ascend",
+            f"the columns {columns} of a regressor with {count} columns are not in ascending order",
             hint="name each column once, from left to right",
         )
     return columns
 
 
 def compiles(samples: int) -> bool:
-    """Whether so many samples are for compiled recursions, and there is numba to compile them."""
+    """Return whether compiled code is used for a number of samples; this requires numba."""
     return samples >= COMPILED_FROM and _has_numba()
 
 

@@ -1,17 +1,20 @@
-"""The regressor an excitation is designed for, with its exact derivative, for many samples at once.
+"""Regressor with its exact derivative for many samples at once, for the design of excitations.
 
-`IdentificationColumns` are the columns: base parameters, rotors and friction by choice.
+`IdentificationColumns` defines the columns: base parameters, and optionally rotors and friction.
 
-τⱼ = Σ_{i ≥ j} Jⱼ · (Φᵢ πᵢ): seen from link i, joint j moves it with the twist (u, z), and the block
-of the regressor that belongs to both is (u, z)ᵀΦ, a closed form in u, z, the link's angular
-velocity ω, its angular acceleration α and the acceleration d of its origin. The derivative of a
-scalar function of the regressor is pulled back through these forms and then, by sums along the
-chain, through the kinematics: one sweep, whatever the function, no tensor of derivatives and no
-loop over samples. (The derivatives of twists are those of Singh, Russell and Wensing 2022.)
+The torque is τⱼ = Σ_{i ≥ j} Jⱼ · (Φᵢ πᵢ). In the frame of link i, joint j moves the link with the
+twist (u, z), and the block of the regressor for the pair of link i and joint j is (u, z)ᵀΦ. Each
+block of the regressor is a closed form in u, z, the angular velocity ω of the link, its angular
+acceleration α and the acceleration d of its origin. The derivative of a scalar function of the
+regressor is propagated backwards through the closed forms of the blocks and then, by sums along the
+chain, through the kinematics. The propagation takes one sweep for any function, without a tensor of
+derivatives and without a loop over samples. (The derivatives of twists are taken from Singh,
+Russell and Wensing 2022.)
 
-Twists and wrenches are Plücker coordinates in base axes about the base's origin, as arrays
-(2, 3, …): linear before angular. Samples come last, so that every operation runs over long rows.
-Notation of Featherstone 2008: `a` includes the acceleration −g of the base.
+Twists and wrenches are Plücker coordinates in base axes about the origin of the base. Twists and
+wrenches are stored as arrays (2, 3, …), the linear part before the angular part. Samples are the
+last axis of all arrays, so that every operation processes long rows. The notation follows
+Featherstone 2008: the spatial acceleration `a` includes the acceleration −g of the base.
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ if TYPE_CHECKING:
 
 
 class MotionGradient(NamedTuple):
-    """Derivatives of a scalar by the motion, each (N, n)."""
+    """Derivatives of a scalar by q, qd and qdd, each (N, n)."""
 
     q: FloatArray
     qd: FloatArray
@@ -41,11 +44,12 @@ class MotionGradient(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """A regressor at some samples.
+    """Regressor at some samples of a motion, with its derivative.
 
     Attributes:
-        transposed: (b, n·N) the regressor's transpose, rows joint by joint.
-        pull_back: From the derivative of a scalar by `transposed` to that by the motion.
+        transposed: (b, n·N) transpose of the regressor, with rows ordered by joint.
+        pull_back: Function that converts the derivative of a scalar by `transposed` to its
+            derivative by the motion.
     """
 
     transposed: FloatArray
@@ -56,18 +60,20 @@ _FRICTION = ("coulomb", "viscous", "offset")
 
 
 class IdentificationColumns:
-    """Columns of independent parameters of one robot, differentiable by the motion.
+    """Regressor columns of independent parameters of one robot, differentiable by the motion.
 
     Args:
-        robot: The robot.
-        rotor: Whether rotor inertias are among the parameters.
-        friction: Whether Coulomb, viscous and offset torques of every joint are.
-        sign_width: Of tanh(qd / width), which stands for the sign in Coulomb columns [rad/s].
-        base: The base parameters, where it is to be others than `base_parameters` chooses: the
-            condition number of unscaled columns depends on the choice.
+        robot: Robot model.
+        rotor: Flag; if true, the parameters include rotor inertias.
+        friction: Flag; if true, the parameters include Coulomb, viscous and offset torques of every
+            joint.
+        sign_width: Width of tanh(qd / width) [rad/s], which replaces the sign function in Coulomb
+            columns.
+        base: Base parameters to use; None for those of `base_parameters`. The condition number of
+            unscaled columns depends on the choice of base parameters.
 
     Attributes:
-        names: (b,) of the parameters: base parameters, then `coulomb_1` … `offset_n`.
+        names: Names of the b parameters: base parameters, then `coulomb_1` … `offset_n`.
     """
 
     def __init__(
@@ -81,7 +87,7 @@ class IdentificationColumns:
     ) -> None:
         base = base or base_parameters(robot, rotor=rotor)
         self._robot, self._geometry = robot, robot.joint_geometry()
-        # Where one motor moves several joints, the rows are the motors' (`CoupledModel`).
+        # If a motor moves several joints, the rows refer to the motors (`CoupledModel`).
         self._T: FloatArray = getattr(robot, "joints_per_motor", np.eye(robot.n))
         self._width, self._friction = sign_width, friction
         bodies = 10 * robot.n
@@ -94,7 +100,7 @@ class IdentificationColumns:
         return len(self.names)
 
     def rows(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> Rows:
-        """The regressor at `q`, `qd`, `qdd`, each (N, n)."""
+        """Return the regressor at `q`, `qd`, `qdd`, each (N, n)."""
         joints = q @ self._T.T, qd @ self._T.T, qdd @ self._T.T
         sweep = RegressorSweep.of(self._robot, *joints, self._geometry)
         parts = [np.matmul(self._T.T, sweep.columns[self._inertial])]
@@ -123,7 +129,7 @@ class IdentificationColumns:
 
 
 def _diagonal(x: FloatArray) -> FloatArray:
-    """(n, n, N): column j acts on joint j only, by x (N, n)."""
+    """Return columns (n, n, N) in which column j acts on joint j only and has the values x[j]."""
     N, n = x.shape
     out = np.zeros((n, n, N))
     out[np.arange(n), np.arange(n)] = x.T
@@ -132,14 +138,14 @@ def _diagonal(x: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainMotion:
-    """The motion of n links at N samples.
+    """Motion of n links at N samples.
 
     Attributes:
-        R: (3, 3, n, N) orientation of the joints' frames in the base.
-        p: (3, n, N) their origins.
-        J: (2, 3, n, N) twist per unit of joint speed.
-        J_dot: (2, 3, n, N) its derivative by time.
-        v, a: (2, 3, n, N) twists of the links and their spatial accelerations.
+        R: (3, 3, n, N) orientations of the joint frames in the base frame.
+        p: (3, n, N) origins of the joint frames in the base frame [m].
+        J: (2, 3, n, N) twist of each joint per unit of joint velocity.
+        J_dot: (2, 3, n, N) time derivative of J.
+        v, a: (2, 3, n, N) twists and spatial accelerations of the links.
     """
 
     R: FloatArray
@@ -152,11 +158,11 @@ class ChainMotion:
 
 @dataclass(frozen=True, eq=False)
 class RegressorSweep:
-    """The regressor of some samples, with what is needed to differentiate it.
+    """Regressor at some samples, with the intermediate results for its derivative.
 
     Attributes:
-        motion: Of the links.
-        link, joint: (P,) link i and joint j of every pair j ≤ i, ordered by link.
+        motion: Motion of the links.
+        link, joint: (P,) index of link i and of joint j for every pair with j ≤ i, ordered by link.
     """
 
     motion: ChainMotion
@@ -172,9 +178,10 @@ class RegressorSweep:
         qdd: FloatArray,
         geometry: JointGeometry | None = None,
     ) -> RegressorSweep:
-        """The sweep of a robot at `q`, `qd`, `qdd`, each (N, n).
+        """Return the regressor sweep of a robot at `q`, `qd`, `qdd`, each (N, n).
 
-        `geometry` is the robot's own, for those who ask again and again.
+        Code that calls this method often passes the `geometry` of the robot, to avoid recomputing
+        it.
         """
         link, joint = np.tril_indices(robot.n)
         rows = (np.ascontiguousarray(x.T) for x in (q, qd, qdd))
@@ -183,9 +190,10 @@ class RegressorSweep:
 
     @cached_property
     def columns(self) -> FloatArray:
-        """(10·n, n, N): for each inertial parameter its part of all torques at all samples.
+        """Contribution (10·n, n, N) of each inertial parameter to all torques at all samples.
 
-        `columns.T.reshape(N * n, 10 * n)` is `RobotModel.regressor(…, rotor=False)`.
+        The expression `columns.T.reshape(N * n, 10 * n)` equals `RobotModel.regressor(…,
+        rotor=False)`.
         """
         m, (u, z), s = self.motion, self._twist, self._links
         n, N = m.p.shape[1:]
@@ -199,10 +207,10 @@ class RegressorSweep:
         return out.reshape(len(PARAMETERS) * n, n, N)
 
     def pull_back(self, by_columns: FloatArray) -> MotionGradient:
-        """The derivative of a scalar by the motion.
+        """Return the derivative of a scalar by q, qd and qdd.
 
         Args:
-            by_columns: (10·n, n, N) its derivative by `columns`.
+            by_columns: (10·n, n, N) derivative of the scalar by `columns`.
         """
         m, (u, z), s = self.motion, self._twist, self._links
         n, N = m.p.shape[1:]
@@ -232,12 +240,13 @@ class RegressorSweep:
     def _through_chain(
         self, by_v: FloatArray, by_a: FloatArray, by_pairs: FloatArray
     ) -> MotionGradient:
-        """From derivatives by the links' twists and accelerations to those by q, qd, qdd.
+        """Convert derivatives by link twists and accelerations to derivatives by q, qd, qdd.
 
         Args:
-            by_v: (2, 3, n, N) by the twists, wrenches in the base frame.
-            by_a: (2, 3, n, N) by the accelerations.
-            by_pairs: (2, 3, P, N), Jⱼ ×* of the derivative by the twist of joint j seen from i.
+            by_v: (2, 3, n, N) derivatives by the link twists, as wrenches in the base frame.
+            by_a: (2, 3, n, N) derivatives by the link accelerations, as wrenches in the base frame.
+            by_pairs: (2, 3, P, N) products Jⱼ ×* w, in which w is the derivative by the twist of
+                joint j in the frame of link i.
         """
         m = self.motion
         on_v = _outwards(by_v + wrench_cross(m.v, by_a))
@@ -252,7 +261,7 @@ class RegressorSweep:
 
     @cached_property
     def _twist(self) -> tuple[FloatArray, FloatArray]:
-        """Linear and angular part of joint j's twist seen from link i, each (3, P, N)."""
+        """Linear and angular twist of joint j in the frame of link i, each (3, P, N)."""
         m = self.motion
         R, p, J = m.R[:, :, self.link], m.p[:, self.link], m.J[:, :, self.joint]
         return rotate_back(R, J[0] + cross(J[1], p)), rotate_back(R, J[1])
@@ -266,14 +275,14 @@ class RegressorSweep:
         return _LinkMotion(linear + cross(omega, speed), alpha, omega, speed)
 
     def _to_base(self, wrench: FloatArray, link: IntArray | slice) -> FloatArray:
-        """Wrenches (2, 3, …, N) given in the frames of `link`."""
+        """Convert wrenches (2, 3, …, N) from the frames of `link` to the base frame."""
         R, p = self.motion.R[:, :, link], self.motion.p[:, link]
         force = rotate(R, wrench[0])
         return np.stack([force, rotate(R, wrench[1]) + cross(p, force)])
 
 
 def _symmetric(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(6, …) factors of Ixx, Ixy, Iyy, Ixz, Iyz, Izz in aᵀ I b."""
+    """Return the factors (6, …) of Ixx, Ixy, Iyy, Ixz, Iyz, Izz in the product aᵀ I b."""
     return np.stack(
         [
             a[0] * b[0],
@@ -287,19 +296,19 @@ def _symmetric(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _as_body(weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mass, first moment (3, …) and inertia (3, 3, …) out of ten parameters (10, …)."""
+    """Return mass, first moment (3, …) and inertia (3, 3, …) given by ten parameters (10, …)."""
     xx, xy, yy, xz, yz, zz = weights[4:]
     inertia = np.stack([np.stack([xx, xy, xz]), np.stack([xy, yy, yz]), np.stack([xz, yz, zz])])
     return weights[0], weights[1:4], inertia
 
 
 def _outwards(wrench: FloatArray) -> FloatArray:
-    """Sums over all links from k to the last, (2, 3, n, N)."""
+    """Return for each link k the sum over the links from k to the last one, (2, 3, n, N)."""
     return np.flip(np.cumsum(np.flip(wrench, axis=2), axis=2), axis=2)
 
 
 class _LinkMotion(NamedTuple):
-    """In each link's own frame, (3, n, N): d, α, ω, and the velocity of the origin."""
+    """Quantities d, α, ω and origin velocity of each link in the link's frame, each (3, n, N)."""
 
     d: FloatArray
     alpha: FloatArray
@@ -310,14 +319,14 @@ class _LinkMotion(NamedTuple):
 def chain_motion(
     geometry: JointGeometry, gravity: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
 ) -> ChainMotion:
-    """Forward kinematics of a chain.
+    """Return the forward kinematics of a chain.
 
     Args:
-        geometry: Of its joints.
-        gravity: (3,) in the base frame [m/s²].
-        q: (n, N) joint positions; `qd` and `qdd` are like it.
-        qd: Velocities.
-        qdd: Accelerations.
+        geometry: Geometry of the joints of the chain.
+        gravity: (3,) gravity vector in the base frame [m/s²].
+        q: (n, N) joint positions.
+        qd: (n, N) joint velocities.
+        qdd: (n, N) joint accelerations.
     """
     R, p, J = _frames(geometry, q)
     v = np.cumsum(J * qd, axis=2)
@@ -328,7 +337,7 @@ def chain_motion(
 
 
 def _frames(geometry: JointGeometry, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """R, p and J of `ChainMotion`."""
+    """Return the quantities R, p and J of `ChainMotion`."""
     n, N = q.shape
     R, p, J = np.empty((3, 3, n, N)), np.empty((3, n, N)), np.zeros((2, 3, n, N))
     turn, origin = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, N)), np.zeros((3, N))
@@ -348,7 +357,7 @@ def _frames(geometry: JointGeometry, q: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _turned(R: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatArray:
-    """R·Rot(axis, angle) by Rodrigues' formula, (3, 3, N)."""
+    """Return the rotation R·Rot(axis, angle), (3, 3, N), by Rodrigues' formula."""
     x, y, z = axis
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     RK = np.einsum("abk,bc->ack", R, K)
@@ -357,7 +366,7 @@ def _turned(R: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatArray:
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """A × b along the first axis, (3, …)."""
+    """Return the cross product a × b along the first axis, (3, …)."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape))
     np.subtract(a[1] * b[2], a[2] * b[1], out=out[0])
     np.subtract(a[2] * b[0], a[0] * b[2], out=out[1])
@@ -366,30 +375,30 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """A · b along the first axis, (3, …)."""
+    """Return the scalar product a · b along the first axis, (3, …)."""
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 def power(twist: FloatArray, wrench: FloatArray) -> FloatArray:
-    """What a wrench does along a twist, (2, 3, …) each."""
+    """Return the power of a wrench along a twist; wrench and twist are (2, 3, …) each."""
     return dot(twist[0], wrench[0]) + dot(twist[1], wrench[1])
 
 
 def twist_cross(x: FloatArray, y: FloatArray) -> FloatArray:
-    """X × y of two twists (2, 3, …)."""
+    """Return the cross product x × y of two twists (2, 3, …)."""
     return np.stack([cross(x[1], y[0]) + cross(x[0], y[1]), cross(x[1], y[1])])
 
 
 def wrench_cross(x: FloatArray, w: FloatArray) -> FloatArray:
-    """X ×* w of a twist and a wrench (2, 3, …): y · (x ×* w) = −(x × y) · w."""
+    """Return x ×* w for a twist x and a wrench w (2, 3, …), with y · (x ×* w) = −(x × y) · w."""
     return np.stack([cross(x[1], w[0]), cross(x[1], w[1]) + cross(x[0], w[0])])
 
 
 def rotate(R: FloatArray, x: FloatArray) -> FloatArray:
-    """R x for matrices (3, 3, …) and vectors (3, …)."""
+    """Return the products R x of matrices (3, 3, …) and vectors (3, …)."""
     return np.asarray(R[:, 0] * x[0] + R[:, 1] * x[1] + R[:, 2] * x[2])
 
 
 def rotate_back(R: FloatArray, x: FloatArray) -> FloatArray:
-    """Rᵀ x for matrices (3, 3, …) and vectors (3, …)."""
+    """Return the products Rᵀ x of matrices (3, 3, …) and vectors (3, …)."""
     return np.asarray(R[0] * x[0] + R[1] * x[1] + R[2] * x[2])

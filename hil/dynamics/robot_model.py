@@ -1,7 +1,8 @@
-"""A serial arm as a model, vectorised over samples: a thin layer over Pinocchio.
+"""Model of a serial arm, based on Pinocchio, that computes many samples at once.
 
-It is made from a description of an arm or a URDF, stored by what it was made from, and loaded with
-payloads. `CoupledModel` is an arm whose motors move more than one joint.
+A robot model is created from an arm description or a URDF, and can carry payloads. The stored form
+of a robot model contains its source, gravity, rotor inertias and payloads, but no link parameters.
+`CoupledModel` is an arm with motors that move more than one joint.
 """
 
 from __future__ import annotations
@@ -29,39 +30,43 @@ from hil.dynamics.regressor import Regressor, compiles
 GRAVITY = (0.0, 0.0, -9.81)
 
 MOTOR_SIDE = "@motors"
-"""Behind the name of an arm whose motors move more than one joint: see `CoupledModel`."""
+"""Suffix of the name of an arm whose motors move more than one joint, see `CoupledModel`."""
 
 
 class RobotModel:
-    """The moving links of a fixed-base serial arm: torques, momentum, regressors, poses.
+    """Moving links of a fixed-base serial arm: torques, momentum, regressors and poses.
 
-    Every method takes rows of samples (N, n) and stacks results sample-major: row k·n + j of a
-    regressor is joint j at sample k. SI throughout; prismatic joints count in m and N.
+    Every method takes samples as rows (N, n) and returns values ordered by sample: row k·n + j of a
+    regressor belongs to joint j at sample k. All units of a robot model are SI units; prismatic
+    joints use m and N.
 
-    Inertial parameters are those of Pinocchio's joint frames: frame i has its origin on the axis
-    of joint i (for DH arms: the origin of DH frame i−1) and turns with link i; the order is that
-    of `hil.dynamics.PARAMETERS`. Rotor inertias, reflected to the joint, come last.
+    The inertial parameters refer to the joint frames of Pinocchio. The origin of frame i is on the
+    axis of joint i (for DH arms: the origin of DH frame i−1), and the frame rotates with link i.
+    The order of the parameters of a link is that of `hil.dynamics.PARAMETERS`. Rotor inertias,
+    reflected to the joint, come after the parameters of all links.
 
-    An instance holds scratch memory: share it between processes, not between threads.
+    An instance contains scratch memory, so it can be shared between processes, but not between
+    threads.
 
     Args:
-        model: Of Pinocchio.
-        flange: Its frame that carries loads.
-        name: For messages.
-        arm: The description it was built from.
-        payloads: Mounted already.
+        model: Pinocchio model.
+        flange: Number of the Pinocchio frame that carries loads.
+        name: Arm name or URDF path.
+        arm: Arm description from which the model was built; None for a URDF.
+        payloads: Payloads that are already included in `model`.
 
     Attributes:
         name: Arm name or URDF path.
         n: Number of joints.
-        joint_names: Length n.
-        q_min, q_max: Position limits [rad], (n,); infinite for endless joints.
-        qd_max: Velocity limits [rad/s], (n,).
-        effort_max: Torque limits [N·m], (n,).
-        arm: The description the model was built from, None for a URDF.
-        payloads: The loads that `with_payload` mounted.
-        gravity_vector: (3,) in the base frame [m/s²]: says how the arm is mounted.
-        rotor_inertia: (n,) reflected to the joint [kg·m²].
+        joint_names: Names of the n joints.
+        q_min, q_max: (n,) position limits [rad]; infinite for continuous joints.
+        qd_max: (n,) velocity limits [rad/s].
+        effort_max: (n,) torque limits [N·m].
+        arm: Arm description from which the model was built; None for a URDF.
+        payloads: Payloads that were mounted with `with_payload`.
+        gravity_vector: (3,) gravity vector in the base frame [m/s²], which depends on how the arm
+            is mounted.
+        rotor_inertia: (n,) rotor inertias, reflected to the joint [kg·m²].
     """
 
     def __init__(
@@ -98,15 +103,16 @@ class RobotModel:
         rotor_inertia: Sequence[float] | FloatArray | None = None,
         gravity: Sequence[float] = GRAVITY,
     ) -> RobotModel:
-        """A built-in arm.
+        """Return the model of a built-in arm or of an arm description.
 
         Args:
-            name: Key of the arm, e.g. `ur5`.
-            rotor_inertia: (n,) rotor inertia reflected to the joint [kg·m²]; none by default.
-            gravity: (3,) in the base frame [m/s²]: says how the arm is mounted.
+            name: Name of the arm, for example `ur5`.
+            rotor_inertia: (n,) rotor inertias reflected to the joints [kg·m²]; None for zero.
+            gravity: (3,) gravity vector in the base frame [m/s²], which depends on how the arm is
+                mounted.
 
         Raises:
-            SpecError: There is no such arm, or `rotor_inertia` has another length.
+            SpecError: The arm does not exist, or `rotor_inertia` has a wrong length.
         """
         if name.endswith(MOTOR_SIDE):
             return CoupledModel.from_arm(name, rotor_inertia, gravity)
@@ -123,12 +129,14 @@ class RobotModel:
         gravity: Sequence[float] = GRAVITY,
         flange: str | None = None,
     ) -> RobotModel:
-        """A fixed-base serial arm from a URDF file; `flange` names the link that carries loads.
+        """Return the model of a fixed-base serial arm from a URDF file.
 
-        Rotor inertias are those given, else `<dynamics armature=…>` of the joints, else none.
+        The rotor inertias are the argument `rotor_inertia` if it is passed, otherwise the
+        attributes `<dynamics armature=…>` of the joints, otherwise zero. The argument `flange` is
+        the name of the link that carries loads.
 
         Raises:
-            SpecError: The file cannot be used; the message says why.
+            SpecError: The URDF file cannot be used; the message contains the reason.
         """
         model, frame = model_from_urdf(Path(path), flange)
         _configure(model, rotor_inertia, gravity)
@@ -136,11 +144,12 @@ class RobotModel:
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> RobotModel:
-        """Inverse of `to_dict`; a URDF is read again from its path.
+        """Return the model from the result of `to_dict`; a URDF is read again from its path.
 
         Raises:
-            SpecError: The arm or the URDF cannot be used here.
-            KeyError, TypeError, ValueError: The document is not what `to_dict` wrote.
+            SpecError: The arm or the URDF cannot be used on this machine.
+            KeyError, TypeError, ValueError: The document does not have the keys and types of the
+                result of `to_dict`.
         """
         given = (document["name"], document["rotor_inertia_kgm2"], document["gravity_m_s2"])
         is_urdf = document["kind"] == "urdf"
@@ -150,10 +159,10 @@ class RobotModel:
         return robot
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form: what the model was made from, not its inertial parameters.
+        """Return the source of the model as a JSON object, without inertial parameters.
 
-        Keys: `kind` (`arm` or `urdf`), `name` (of the arm, or the URDF's path), `joint_names`,
-        `flange`, `gravity_m_s2`, `rotor_inertia_kgm2`, `payloads`.
+        The keys of the JSON object are `kind` (`arm` or `urdf`), `name` (arm name or URDF path),
+        `joint_names`, `flange`, `gravity_m_s2`, `rotor_inertia_kgm2`, `payloads`.
         """
         return {
             "kind": "urdf" if self.arm is None else "arm",
@@ -166,7 +175,7 @@ class RobotModel:
         }
 
     def with_payload(self, payload: Payload) -> RobotModel:
-        """The same arm with a load rigidly mounted at the flange."""
+        """Return the same arm with a payload rigidly mounted at the flange."""
         if payload.is_empty:
             return self
         model, mounted = self._with_body(payload), (*self.payloads, payload)
@@ -180,7 +189,7 @@ class RobotModel:
         return model
 
     def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """(N, n) joint torques for the motion, rotor inertias included."""
+        """Return the joint torques (N, n) of a motion, including the torques of rotor inertias."""
         rows = self._rows(q, qd, qdd)
         if compiles(len(q)):
             return self._recursion(self.parameters(), *rows)
@@ -192,7 +201,11 @@ class RobotModel:
     def inverse_dynamics_derivatives(
         self, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Each (N, n, n): how row i of the joint torques changes with q, qd and qdd of joint j."""
+        """Return the derivatives of the joint torques by q, qd and qdd, each (N, n, n).
+
+        Entry (i, j) of the derivative at each sample is the derivative of torque i by the
+        coordinate of joint j.
+        """
         rows = self._rows(q, qd, qdd)
         out = np.empty((3, *rows[0].shape, self.n))
         for k, sample in enumerate(zip(*rows, strict=True)):
@@ -202,9 +215,9 @@ class RobotModel:
     def torque(
         self, parameters: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> FloatArray:
-        """(N, n) regressor times parameters (11·n,), without the regressor.
+        """Return the product of regressor and parameters (N, n), without computing the regressor.
 
-        Any parameters will do, those `BaseParameters.expand` makes of base parameters too.
+        The parameters (11·n,) may have any values, for example those from `BaseParameters.expand`.
         """
         rows = self._rows(q, qd, qdd)
         if compiles(len(q)):
@@ -223,11 +236,14 @@ class RobotModel:
     def momentum(
         self, parameters: FloatArray, q: FloatArray, qd: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Momentum M(q) q̇ [N·m·s] and Cᵀ(q, q̇) q̇ [N·m], each (N, n), of any parameters (11·n,)."""
+        """Return momentum M(q) q̇ [N·m·s] and Cᵀ(q, q̇) q̇ [N·m], each (N, n).
+
+        The parameters (11·n,) may have any values.
+        """
         return momentum(self._chain, np.asarray(parameters), *self._rows(q, qd))
 
     def loaded_parameters(self, parameters: FloatArray, payload: Payload) -> FloatArray:
-        """(11·n,) parameters with a load fixed to the flange."""
+        """Return the parameters (11·n,) of the arm with a payload mounted at the flange."""
         last = slice((self.n - 1) * len(PARAMETERS), self.n * len(PARAMETERS))
         X = transfer_matrix(pose_of(self._model.frames[self._flange].placement))
         loaded = np.array(parameters, dtype=np.float64)
@@ -235,7 +251,7 @@ class RobotModel:
         return loaded
 
     def gravity(self, q: FloatArray) -> FloatArray:
-        """(N, n) joint torques that hold the arm still."""
+        """Return the joint torques (N, n) that hold the static arm against gravity."""
         (rows,) = self._rows(q)
         out = np.empty(rows.shape)
         for tau, sample in zip(out, rows, strict=True):
@@ -243,7 +259,7 @@ class RobotModel:
         return out
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:
-        """(N, n, n) joint-space inertia, rotor inertias included."""
+        """Return the joint-space inertia matrices (N, n, n), including rotor inertias."""
         (rows,) = self._rows(q)
         out = np.empty((len(rows), self.n, self.n))
         for M, sample in zip(out, rows, strict=True):
@@ -260,15 +276,16 @@ class RobotModel:
         rotor: bool = True,
         columns: IntArray | None = None,
     ) -> FloatArray:
-        """(N·n, p) W with W @ parameters = inverse dynamics; p = 10·n, plus n with `rotor`.
+        """Return the regressor W (N·n, p) with W @ parameters = torques of inverse dynamics.
 
         Args:
-            q: (N, n), with qd and qdd the motion.
-            qd: (N, n).
-            qdd: (N, n).
-            rotor: Whether the columns of the rotor inertias, which hold qdd, are among them.
-            columns: (k,) only these, ascending, such as those of base parameters; then p = k.
-                The others are not computed.
+            q: (N, n) position.
+            qd: (N, n) velocity.
+            qdd: (N, n) acceleration.
+            rotor: Flag; if true, the columns of the rotor inertias, which contain qdd, are
+                included. With the columns of the rotor inertias, p is 11·n, otherwise 10·n.
+            columns: (k,) ascending indices of the columns to compute, such as those of base
+                parameters; p is then k.
         """
         count = (len(PARAMETERS) + rotor) * self.n
         wanted = np.arange(count) if columns is None else np.asarray(columns)
@@ -278,29 +295,29 @@ class RobotModel:
         return self._regressors[key](*self._rows(q, qd, qdd))
 
     def gravity_regressor(self, q: FloatArray) -> FloatArray:
-        """(N·n, 10·n) W with W @ parameters(rotor=False) = gravity torques."""
+        """Return the regressor W (N·n, 10·n) with W @ parameters(rotor=False) = gravity torques."""
         still = np.zeros(np.shape(q))
         return self.regressor(q, still, still, rotor=False)
 
     def parameters(self, *, rotor: bool = True) -> FloatArray:
-        """(p,) parameters in the order of the regressor's columns."""
+        """Return the parameters (p,) of the model in the order of the regressor columns."""
         bodies = [np.array(body.toDynamicParameters()) for body in self._model.inertias]
         rotors = [np.array(self._model.armature)] if rotor else []
         return np.concatenate([*bodies[1:], *rotors])
 
     def parameter_names(self, *, rotor: bool = True) -> tuple[str, ...]:
-        """Names such as `m_1`, `mx_1`, …, `Izz_6`, `Ia_1` in the order of the columns."""
+        """Return the names `m_1`, `mx_1`, …, `Izz_6`, `Ia_1` in the order of the columns."""
         joints = range(1, self.n + 1)
         bodies = tuple(f"{name}_{joint}" for joint in joints for name in PARAMETERS)
         return bodies + tuple(f"Ia_{joint}" for joint in joints if rotor)
 
     @property
     def columns_key(self) -> tuple[bytes, ...]:
-        """What a regressor's columns depend on: joints and gravity, not what the links weigh."""
+        """Key of the regressor columns: joints and gravity, without the masses of the links."""
         return tuple(constants.tobytes() for constants in self._chain)
 
     def flange_pose(self, q: FloatArray) -> FloatArray:
-        """(N, 4, 4) pose of the flange in the base frame."""
+        """Return the pose (N, 4, 4) of the flange in the base frame."""
         (rows,) = self._rows(q)
         out = np.empty((len(rows), 4, 4))
         for pose, sample in zip(out, rows, strict=True):
@@ -309,21 +326,24 @@ class RobotModel:
         return out
 
     def joint_geometry(self) -> JointGeometry:
-        """Where the joints are, for code that cannot have Pinocchio."""
+        """Return the joint geometry, for code that does not use Pinocchio."""
         return joint_geometry(self._model)
 
     def payload_effort(
         self, payload: Payload, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> FloatArray:
-        """(N, n) what a load adds to the joint torques: inverse dynamics with minus without it."""
+        """Return the joint torques (N, n) that a payload adds to those of the arm."""
         if self._loaded is None or self._loaded[0] != payload:
-            # Asked again and again for one load, sample by sample.
+            # Cached, because callers use the same payload for many samples.
             self._loaded = payload, self.with_payload(payload)
         loaded = self._loaded[1].inverse_dynamics(q, qd, qdd)
         return loaded - self.inverse_dynamics(q, qd, qdd)
 
     def payload_regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """(N·n, 10) W with W @ payload_parameters(payload) = payload effort, flange frame."""
+        """Return the regressor W (N·n, 10) with W @ payload_parameters(payload) = payload torques.
+
+        The payload parameters refer to the flange frame.
+        """
         body = len(PARAMETERS)
         W = self.regressor(q, qd, qdd, columns=np.arange((self.n - 1) * body, self.n * body))
         return W @ transfer_matrix(pose_of(self._model.frames[self._flange].placement))
@@ -333,8 +353,8 @@ class RobotModel:
         shapes = [array.shape for array in rows]
         if any(len(s) != 2 or s[1] != self.n or s != shapes[0] for s in shapes):
             raise DataError(
-                f"the model {self.name} takes rows of {self.n} joints, all arrays alike; "
-                f"it got the shapes {', '.join(map(str, shapes))}",
+                f"the model {self.name} expects arrays of one shape with {self.n} joints per "
+                f"row, got the shapes {', '.join(map(str, shapes))}",
                 hint="check that the data were recorded on this robot",
             )
         return rows
@@ -351,8 +371,8 @@ def _configure(
     armature = np.asarray(rotor_inertia, dtype=np.float64)
     if armature.shape != (model.nv,):
         raise SpecError(
-            f"{armature.size} rotor inertias were given for the {model.nv} joints of {model.name}",
-            hint="give one per joint, reflected to the joint, in kg·m²",
+            f"{armature.size} rotor inertias were passed for the {model.nv} joints of {model.name}",
+            hint="pass one value per joint, reflected to the joint, in kg·m²",
         )
     model.armature = armature
 
@@ -376,10 +396,10 @@ def load_model(
     rotor_inertia: Sequence[float] | FloatArray | None = None,
     gravity: Sequence[float] = GRAVITY,
 ) -> RobotModel:
-    """A built-in arm by name, or a URDF or a description of an arm by path.
+    """Return the model of a built-in arm by its name, or of a URDF or arm description by its path.
 
     Raises:
-        SpecError: Neither exists, or the URDF cannot be used.
+        SpecError: The arm or file does not exist, or the URDF cannot be used.
     """
     text = str(name_or_path)
     if is_description(text.removesuffix(MOTOR_SIDE)):
@@ -390,22 +410,25 @@ def load_model(
 
 
 class CoupledModel(RobotModel):
-    """A `RobotModel` whose q, velocities and torques are those of the motors behind their gears.
+    """`RobotModel` in motor coordinates, for arms with motors that move more than one joint.
 
-    In some wrists a motor's gear also turns with the joint before it: joints q follow the motors'
-    angles behind their gears s by q = T s, and by virtual work the motors' torques behind their
-    gears are Tᵀ times the joints'. In these coordinates every motor has one row: its own rotor
-    inertia, its own friction, its own current. In joint coordinates a motor's friction and rotor
-    act on two rows and depend on two velocities, which no per-joint friction column can say
-    (Gautier, Janot & Vandanjon 2013 add extra columns for the TX40's joint 5 and 6; this is the
-    same model).
+    In some wrists the gear of a motor rotates together with the previous joint, too. The joint
+    positions q follow from the motor angles s, measured after the gears: q = T s. According to
+    virtual work, the motor torques after the gears are Tᵀ times the joint torques. In motor
+    coordinates, every motor has one row of the equations of motion, which contains its rotor
+    inertia, its friction and its current. In joint coordinates, the friction and the rotor of a
+    motor act on two rows and depend on two velocities. Friction columns per joint cannot represent
+    this dependence (Gautier, Janot & Vandanjon 2013 add extra columns for joints 5 and 6 of the
+    TX40; `CoupledModel` is equivalent).
 
-    The inertial parameters are those of the same links; rotor inertias and limits are the motors'.
-    Position limits are the smallest box that holds all of the joints', so not every position in it
-    can be reached. `joint_geometry` stays that of the joints.
+    The inertial parameters of a `CoupledModel` are those of the same links, whereas rotor inertias
+    and limits refer to the motors. The position limits of the motors are the smallest box that
+    contains all permitted joint positions, so some positions in the box cannot be reached. The
+    value of `joint_geometry` refers to the joints and not to the motors.
 
     Attributes:
-        joints_per_motor: (n, n) T of q = T s.
+        joints_per_motor: (n, n) matrix T in q = T s, which converts motor angles to joint
+            positions.
     """
 
     def __init__(
@@ -421,13 +444,13 @@ class CoupledModel(RobotModel):
         super().__init__(model, flange, name=name, arm=arm, payloads=payloads)
         if arm is None or np.array_equal(arm.joints_per_motor, np.eye(self.n)):
             raise SpecError(
-                f"{name}: every motor of this arm moves one joint only",
-                hint=f"leave {MOTOR_SIDE} out of its name",
+                f"{name}: every motor of this arm moves only one joint",
+                hint=f"remove {MOTOR_SIDE} from the name",
             )
         if rotor_inertia is not None:
             self.rotor_inertia = rotor_inertia
         bare = model.copy()
-        bare.armature = np.zeros(self.n)  # counted here, in the motors' coordinates
+        bare.armature = np.zeros(self.n)  # rotor inertias are added in motor coordinates
         self._serial = RobotModel(bare, flange, name=name, arm=arm)
         self._T = T = np.array(arm.joints_per_motor)
         back: FloatArray = np.asarray(np.linalg.inv(T), np.float64)
@@ -442,10 +465,16 @@ class CoupledModel(RobotModel):
         rotor_inertia: Sequence[float] | FloatArray | None = None,
         gravity: Sequence[float] = GRAVITY,
     ) -> RobotModel:
-        """A built-in arm, `rotor_inertia` (n,) that of the motors behind their gears [kg·m²].
+        """Return the model of a built-in arm in motor coordinates.
+
+        Args:
+            name: Name of the arm, with the suffix `@motors`.
+            rotor_inertia: (n,) inertias of the motors, reflected to the output sides of their gears
+                [kg·m²].
+            gravity: (3,) gravity vector in the base frame [m/s²].
 
         Raises:
-            SpecError: There is no such arm, or none of its motors moves two joints.
+            SpecError: The arm does not exist, or no motor of the arm moves two joints.
         """
         made = super().from_arm(name.removesuffix(MOTOR_SIDE), rotor_inertia, gravity)
         made.name = name
@@ -453,26 +482,26 @@ class CoupledModel(RobotModel):
 
     @property
     def joints_per_motor(self) -> FloatArray:
-        """(n, n) T of q = T s."""
+        """Matrix T (n, n) of q = T s."""
         return self._T
 
     @property
     def columns_key(self) -> tuple[bytes, ...]:
-        """What a regressor's columns depend on; see `RobotModel.columns_key`."""
+        """Key of the regressor columns, see `RobotModel.columns_key`."""
         return (*super().columns_key, b"motors", self._T.tobytes())
 
     def joints(self, *motors: FloatArray) -> tuple[FloatArray, ...]:
-        """Angles (N, n) of the joints, or their rates, from those of the motors."""
+        """Return joint positions (N, n), or their derivatives, from those of the motors."""
         return tuple(rows @ self._T.T for rows in self._rows(*motors))
 
     def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """(N, n) torques of the motors behind their gears, rotor inertias included."""
+        """Return the motor torques (N, n) after the gears, including rotor inertias."""
         return self.torque(self.parameters(), q, qd, qdd)
 
     def torque(
         self, parameters: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> FloatArray:
-        """(N, n) regressor times parameters (11·n,), without the regressor."""
+        """Return regressor times parameters (N, n), without computing the regressor."""
         bodies, rotors = np.split(np.asarray(parameters), [len(PARAMETERS) * self.n])
         links = np.concatenate([bodies, np.zeros(self.n)])
         joints = self._serial.torque(links, *self.joints(q, qd, qdd))
@@ -482,7 +511,7 @@ class CoupledModel(RobotModel):
     def inverse_dynamics_derivatives(
         self, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Each (N, n, n), in the motors' coordinates."""
+        """Return the derivatives of the motor torques in motor coordinates, each (N, n, n)."""
         found = self._serial.inverse_dynamics_derivatives(*self.joints(q, qd, qdd))
         by_q, by_qd, by_qdd = (np.asarray(self._T.T @ one @ self._T) for one in found)
         return by_q, by_qd, by_qdd + np.diag(self.rotor_inertia)
@@ -490,19 +519,19 @@ class CoupledModel(RobotModel):
     def momentum(
         self, parameters: FloatArray, q: FloatArray, qd: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """As `RobotModel.momentum`, in the motors' coordinates."""
+        """Return the results of `RobotModel.momentum` in motor coordinates."""
         bodies, rotors = np.split(np.asarray(parameters), [len(PARAMETERS) * self.n])
         links = np.concatenate([bodies, np.zeros(self.n)])
         p, gradient = self._serial.momentum(links, *self.joints(q, qd))
         return p @ self._T + rotors * np.asarray(qd), gradient @ self._T
 
     def gravity(self, q: FloatArray) -> FloatArray:
-        """(N, n) motor torques behind the gears that hold the arm still."""
+        """Return the motor torques (N, n) after the gears that hold the arm against gravity."""
         torque: FloatArray = self._serial.gravity(*self.joints(q)) @ self._T
         return torque
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:
-        """(N, n, n) inertia in the motors' coordinates."""
+        """Return the inertia matrices (N, n, n) in motor coordinates."""
         M: FloatArray = self._T.T @ self._serial.mass_matrix(*self.joints(q)) @ self._T
         return np.asarray(M + np.diag(self.rotor_inertia))
 
@@ -515,7 +544,7 @@ class CoupledModel(RobotModel):
         rotor: bool = True,
         columns: IntArray | None = None,
     ) -> FloatArray:
-        """(N·n, p) as `RobotModel.regressor`, in the motors' coordinates."""
+        """Return the regressor (N·n, p) of `RobotModel.regressor` in motor coordinates."""
         body = len(PARAMETERS) * self.n
         wanted = np.arange(body + rotor * self.n) if columns is None else np.asarray(columns)
         moves = self.joints(q, qd, qdd)
@@ -527,12 +556,12 @@ class CoupledModel(RobotModel):
         return np.ascontiguousarray(out.reshape(-1, len(wanted)))
 
     def parameters(self, *, rotor: bool = True) -> FloatArray:
-        """(p,) parameters in the order of the regressor's columns."""
+        """Return the parameters (p,) of the model in the order of the regressor columns."""
         bodies = self._serial.parameters(rotor=False)
         return np.concatenate([bodies, self.rotor_inertia]) if rotor else bodies
 
     def with_payload(self, payload: Payload) -> RobotModel:
-        """The same arm with a load rigidly mounted at the flange."""
+        """Return the same arm with a payload rigidly mounted at the flange."""
         if payload.is_empty:
             return self
         loaded = self._with_body(payload)
@@ -544,11 +573,11 @@ class CoupledModel(RobotModel):
         )  # fmt: skip
 
     def flange_pose(self, q: FloatArray) -> FloatArray:
-        """(N, 4, 4) pose of the flange in the base frame."""
+        """Return the pose (N, 4, 4) of the flange in the base frame."""
         return self._serial.flange_pose(*self.joints(q))
 
 
 def _box(matrix: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest value of every row of matrix·x over low ≤ x ≤ high."""
+    """Return the lowest and highest value of every row of matrix·x for low ≤ x ≤ high."""
     ends = np.stack([matrix * low, matrix * high])
     return ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)

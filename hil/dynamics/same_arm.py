@@ -1,4 +1,4 @@
-"""Whether a recording that names a robot may be of a given model."""
+"""Check whether a recording that names a robot can belong to a given model."""
 
 from __future__ import annotations
 
@@ -12,20 +12,24 @@ from hil.core import DataError, FloatArray, SpecError
 from hil.dynamics.robot_model import MOTOR_SIDE, RobotModel, load_model
 
 APART_M, APART_RAD = 0.01, 0.05
-"""By as much the axes of one arm may differ between two descriptions: a calibrated one, say."""
+"""Maximum difference between the axes of two descriptions of the same arm [m, rad].
+
+Differences up to this maximum occur, for example, between a nominal and a calibrated description.
+"""
 
 
 def may_be(name: str, robot: RobotModel) -> bool:
-    """Whether data of the robot `name` may be of `robot`.
+    """Return whether data of the robot named `name` can belong to the model `robot`.
 
-    Two built-in arms are compared by name. A path says nothing: a description of an arm is compared
-    with another one, or with a built-in arm, by its DH parameters; a URDF with any robot by the
-    distance and the angle between each joint's axis and the next one's. A file that cannot be read
-    here and an unknown name may be any robot.
+    Two built-in arms are compared by name. The path of a description does not identify an arm.
+    Therefore an arm description is compared with another description, or with a built-in arm, by DH
+    parameters. A URDF is compared with any robot by the distance and the angle between consecutive
+    joint axes. A file that cannot be read on this machine, and an unknown name, are compatible with
+    any robot.
 
     Args:
-        name: Built-in arm, path of a URDF or a description, or nothing.
-        robot: The model.
+        name: Name of a built-in arm, path of a URDF or a description, or an empty text.
+        robot: Robot model.
     """
     given, own = name.removesuffix(MOTOR_SIDE), robot.name.removesuffix(MOTOR_SIDE)
     if not given or given == own:
@@ -54,7 +58,10 @@ def _lengths_and_angles(dh: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _axes(robot: RobotModel) -> tuple[FloatArray, FloatArray]:
-    """(n − 1,) distances [m] and angles [rad] between consecutive axes: no convention counts."""
+    """Return distances [m] and angles [rad] (n − 1,) between consecutive joint axes.
+
+    Distances and angles of joint axes do not depend on the frame convention.
+    """
     geometry = robot.joint_geometry()
     at, lines = np.eye(4), []
     for placement, axis in zip(geometry.placement, geometry.axis, strict=True):
@@ -63,13 +70,13 @@ def _axes(robot: RobotModel) -> tuple[FloatArray, FloatArray]:
     pairs = [_between(*one, *two) for one, two in pairwise(lines)]
     slides = ~(geometry.turns[1:] & geometry.turns[:-1])
     apart, inclined = np.array(pairs).reshape(-1, 2).T
-    return np.where(slides, 0.0, apart), inclined  # what slides is anywhere on its axis
+    return np.where(slides, 0.0, apart), inclined  # the position of a prismatic axis is arbitrary
 
 
 def _between(
     p: FloatArray, axis: FloatArray, other: FloatArray, other_axis: FloatArray
 ) -> tuple[float, float]:
-    """Distance and angle of two lines, each by a point and a direction of length 1."""
+    """Return distance and angle of two lines, each defined by a point and a unit vector."""
     across = np.cross(axis, other_axis)
     size = float(np.linalg.norm(across))
     inclined = float(np.arcsin(min(size, 1.0)))

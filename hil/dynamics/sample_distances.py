@@ -1,7 +1,8 @@
-"""Distances of an arm one sample at a time, by coal: what judges the arm while it moves.
+"""Distances of an arm for one sample at a time, computed by coal, for monitoring during motion.
 
-The same bodies, pairs and order as a `CollisionModel`. numpy is as fast for blocks of samples, but
-takes 0.2 to 0.5 ms for a single one; coal takes a tenth of that (`benchmarks/collision.py`).
+Bodies, pairs and their order are the same as in a `CollisionModel`. For blocks of samples, the
+numpy code of `CollisionModel` is as fast as coal. For a single sample, the numpy code takes 0.2 to
+0.5 ms and coal a tenth of that (`benchmarks/collision.py`).
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from hil.dynamics.collision import Box, CollisionModel, Plane
 
 
 class SampleDistances:
-    """The distances of a collision model; see there for `names` and `reach`.
+    """Distances of a `CollisionModel` for single samples, with the same `names` and `reach`.
 
-    Equal to a micrometre where nothing overlaps, and negative in both where something does. An
-    instance holds scratch memory: not to be shared between threads.
+    The distances equal those of the collision model within a micrometre if no bodies overlap. If
+    bodies overlap, both models return negative distances. An instance contains scratch memory and
+    must not be shared between threads.
 
     Args:
-        of: Says which bodies, and which of them are checked against what.
+        of: Collision model that defines the bodies and the pairs to check.
     """
 
     def __init__(self, of: CollisionModel) -> None:
@@ -42,13 +44,13 @@ class SampleDistances:
         self._data, self._found = self._model.createData(), self._geometry.createData()
 
     def copy_for_thread(self) -> SampleDistances:
-        """The same distances, with scratch memory for another thread."""
+        """Return a copy with separate scratch memory for a different thread."""
         other = copy.copy(self)
         vars(other).update(_data=self._model.createData(), _found=self._geometry.createData())
         return other
 
     def distances(self, q: FloatArray) -> FloatArray:
-        """(R, N) distances [m] at `q` (N, n)."""
+        """Return the distances (R, N) [m] of all pairs at `q` (N, n)."""
         out = np.empty((len(self.names), len(q)))
         for column, sample in zip(out.T, q, strict=True):
             pin.computeDistances(self._model, self._data, self._geometry, self._found, sample)
@@ -66,7 +68,7 @@ def _body(arm: ArmDescription, capsule: Capsule, name: str) -> pin.GeometryObjec
 
 
 def _link_in_joint(arm: ArmDescription, link: int) -> pin.SE3:
-    """DH frame of a link in Pinocchio's joint frame."""
+    """Return the DH frame of a link, expressed in the joint frame of Pinocchio."""
     if link == 0:
         return pin.SE3.Identity()
     a, alpha, d, _ = arm.dh[link - 1]

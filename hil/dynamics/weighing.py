@@ -1,9 +1,10 @@
-"""What joint torques at rest say about the load at the flange, and how surely.
+"""Payload check from the joint torques of a static arm, with standard deviations.
 
-At rest a load's torques are linear in (m, m·cx, m·cy, m·cz), flange frame. Two things spoil them:
-what is left of friction, independent from pose to pose, and drive gains that are only roughly
-known, which err by the same share at every pose. Generalised least squares takes both into
-account: a joint that errs by its gain is trusted for its small torques, not for its large ones.
+The static torques of a payload are linear in its parameters (m, m·cx, m·cy, m·cz) in the flange
+frame. The measured torques have two kinds of error. Residual friction is independent from pose to
+pose, whereas errors of the drive gains are the same share of the torque at every pose. Generalised
+least squares accounts for residual friction and gain errors. In a joint with an inaccurate gain,
+small torques have more weight than large torques.
 """
 
 from __future__ import annotations
@@ -17,40 +18,45 @@ from hil.core import FloatArray
 from hil.dynamics.robot_model import RobotModel
 
 GAIN_SHARE = 0.05
-"""Standard deviation of a drive gain from its nominal value; motor constants of one type of drive
-are toleranced by a few percent."""
+"""Relative standard deviation of a drive gain from its nominal value.
+
+The motor constants of one type of drive have tolerances of a few percent.
+"""
 
 CALIBRATED_SHARE = 0.01
-"""That of one which was measured on the arm itself."""
+"""Relative standard deviation of a drive gain that was measured on the arm itself."""
 
 UNDETERMINED = 1e-6
-"""Directions of the first moment with less than this share of the best one's information do not
-show at these poses."""
+"""Share of the information of the best direction below which a direction is not identifiable.
+
+The directions are directions of the first moment at the evaluated poses.
+"""
 
 
 def static_columns(model: RobotModel, q: FloatArray) -> FloatArray:
-    """(P, n, 4) torques at rest at `q` (P, n) per kg and per kg·m of a load's first moment."""
+    """Return the static torques (P, n, 4) at `q` (P, n) per kg and per kg·m of first moment."""
     still = np.zeros(np.shape(q))
     columns: FloatArray = model.payload_regressor(q, still, still)[:, :4]
     return columns.reshape(len(q), model.n, 4)
 
 
 def static_parameters(load: Payload) -> FloatArray:
-    """(4,) mass [kg] and first moment [kg·m] of a load in the flange frame."""
+    """Return mass [kg] and first moment [kg·m] (4,) of a payload, both in the flange frame."""
     return load.mass * np.array([1.0, *load.com])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighed:
-    """By how much a load differs from what was expected.
+    """Difference of a payload from the expected payload.
 
     Attributes:
-        mass: More mass than expected, if its centre is where it was said to be [kg].
-        mass_deviation: Standard deviation of that [kg].
-        free_mass: More mass than expected, wherever its centre is [kg].
-        free_mass_deviation: Standard deviation of that [kg].
-        moment: (3,) first moment that no mass at the declared centre explains [kg·m].
-        moment_deviation: Standard deviation along `moment` [kg·m]; infinite when it is zero.
+        mass: Additional mass [kg], if its centre of mass is at the declared position.
+        mass_deviation: Standard deviation of `mass` [kg].
+        free_mass: Additional mass [kg], if its centre of mass may be at any position.
+        free_mass_deviation: Standard deviation of `free_mass` [kg].
+        moment: (3,) first moment [kg·m] that no mass at the declared centre of mass explains.
+        moment_deviation: Standard deviation of the first moment along `moment` [kg·m]; infinite if
+            `moment` is zero.
     """
 
     mass: float
@@ -63,13 +69,14 @@ class Weighed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Balance:
-    """Poses as a pair of scales.
+    """Poses from which a payload is identified, with their torques and errors.
 
     Attributes:
-        columns: (P, n, 4) of `static_columns`.
-        torque: (P, n) the load's torques [N·m]; gain errors are a share of them.
-        deviation: (P, n) what is left of friction and noise, standard deviation [N·m].
-        com: (3,) where a mass that is weighed has its centre, flange frame [m].
+        columns: (P, n, 4) static torques per unit of the payload parameters, from `static_columns`.
+        torque: (P, n) torques of the payload [N·m], to which the effects of gain errors are
+            proportional.
+        deviation: (P, n) standard deviations of residual friction and noise [N·m].
+        com: (3,) position of the centre of mass of the additional mass, in the flange frame [m].
     """
 
     columns: FloatArray
@@ -79,12 +86,15 @@ class Balance:
 
     @property
     def information(self) -> FloatArray:
-        """(4, 4) Fisher information about mass at `com` and about the first moment beside it."""
+        """Fisher information (4, 4) about the mass at `com` and the additional first moment."""
         basis = self._whitened(self.columns @ self._basis)
         return basis.T @ basis
 
     def weigh(self, surplus: FloatArray) -> Weighed:
-        """What explains the torques `surplus` (P, n) beyond the expected ones [N·m] best."""
+        """Return the payload difference that best explains the torques `surplus` (P, n) [N·m].
+
+        The torques `surplus` are the measured torques minus the expected torques.
+        """
         basis = self._whitened(self.columns @ self._basis)
         seen = basis.T @ self._whitened(surplus[:, :, None])[:, 0]
         info = basis.T @ basis
@@ -105,13 +115,13 @@ class Balance:
 
     @property
     def _basis(self) -> FloatArray:
-        """(4, 4) columns: a kilogram at `com`, then a kg·m along each axis."""
+        """Basis vectors as columns (4, 4): 1 kg at `com`, then 1 kg·m along each axis."""
         basis = np.eye(4)
         basis[1:, 0] = self.com
         return basis
 
     def _whitened(self, values: FloatArray) -> FloatArray:
-        """(n·P, k) of `values` (P, n, k) with errors of size 1 that do not correlate."""
+        """Return `values` (P, n, k) as (n·P, k), with uncorrelated errors of unit variance."""
         gains = GAIN_SHARE * self.torque.T[:, :, None]
         friction = np.eye(len(self.torque)) * self.deviation.T[:, :, None] ** 2
         lower = np.linalg.cholesky(friction + gains @ gains.transpose(0, 2, 1))

@@ -1,4 +1,4 @@
-"""The run state machine: the only thing that moves a robot."""
+"""Execution of plans: run state machine, interlocks, preflight, live view and observers."""
 
 import lazy_loader
 

@@ -1,8 +1,10 @@
-"""The engine: executes a plan on a robot, and is the only thing that moves it.
+"""Engine that executes a plan on a robot.
 
-One loop on one thread: hand over a segment, read blocks until it is over. A run is in one of the
-states of `RunState`, and `Engine.run` always ends it with a `RunResult`: nothing is raised from
-there.
+No module other than `hil.engine.engine` commands motion during a run.
+
+A single loop on one thread sends one segment of the plan to the robot and then reads blocks of
+state rows until the segment is over. A run is always in one of the states of `RunState`.
+`Engine.run` always returns a `RunResult` and raises no exception.
 
 | state     | event                                                           | next state |
 |-----------|-----------------------------------------------------------------|------------|
@@ -15,26 +17,31 @@ there.
 | all above | a stop, a trip, a fault or any other error                      | STOPPING   |
 | STOPPING  | the arm is at rest, or the time for that is over                | DONE       |
 
-**Pauses** happen at checkpoints of the plan only. Operators and signals request them, interlocks
-with the action `pause` hold the run; the arm holds its set-point, reading and judging go on.
+**Pauses** of a run happen only at checkpoints of the plan. Operators and signals request pauses of
+a run; interlocks with the action `pause` also pause the run. During a pause the arm holds its last
+set-point, and the engine continues to read the robot state and to check the interlocks.
 
-**Stops** come in four ways, and all of them end in `Engine._halt`:
+**Stops** of a run have four causes, and every stop ends in `Engine._halt`:
 
-- A request (operator, signal) is left in `Requests` and obeyed by the control thread before the
-  next block, the next command and the next state: within one block, as `Stopped`.
-- A trip, a fault, stale state or a recorder that fails is raised from `Reading.block`. For a trip
-  the robot has been stopped by then.
-- Any other error, from a driver, a prompt or a bug, comes up to `Engine.run` by itself.
-- A control thread that does not come round any more obeys nothing. The watchdog notices, stops the
-  robot from its own thread and gives the control thread up (`Engine._hung`); a process that was
-  suspended is stopped before the control thread goes on (`Engine._was_suspended`).
+- An operator or a signal requests a stop through the object `Requests`. The control thread checks
+  for a stop request before it reads the next block, sends the next command or changes to the next
+  state; it raises `Stopped` within one block.
+- `Reading.block` raises an error for a tripped interlock, a robot fault, a stale robot state or a
+  failed recorder. If an interlock with the action `stop` trips, `Reading.block` stops the robot
+  before it raises the error.
+- Any other exception, from a driver, a prompt or a bug, propagates to `Engine.run`.
+- A control thread that hangs in a call cannot react to stop requests. The watchdog detects a
+  hanging control thread, stops the robot from the watchdog thread and abandons the control thread
+  (`Engine._hung`). If the operating system suspended the process, the watchdog stops the robot
+  before the control thread continues (`Engine._was_suspended`).
 
-`_halt` stops the robot, whatever has happened before, then tells others, then watches the arm come
-to rest. Every call on that way may take only so long, and nothing there may prevent the stop. (The
-third signal does not wait for any of this: see `hil.engine.signals`.)
+`Engine._halt` always stops the robot first, then notifies the observers and then monitors the arm
+until the arm is at rest. Every call in `Engine._halt` has a time limit, and no failure of a call
+prevents the stop. (The third signal stops the robot without `Engine._halt`: see
+`hil.engine.signals`.)
 
-The file goes from the states, the prompt and the result over `Engine` (run, stop, pause, steps) to
-the parts it is made of.
+The file contains, in this order: the states, the prompt and the result of a run; the class `Engine`
+(run, stop, pause, steps); the helper classes of the engine.
 """
 
 from __future__ import annotations
@@ -75,7 +82,7 @@ from hil.robot import Robot, Segment, Status
 
 
 class RunState(StrEnum):
-    """Where a run is."""
+    """State of a run."""
 
     IDLE = "idle"
     PREFLIGHT = "preflight"
@@ -95,24 +102,26 @@ TRANSITIONS: dict[RunState, frozenset[RunState]] = {
     RunState.STOPPING: frozenset({RunState.DONE}),
     RunState.DONE: frozenset(),
 }
-"""Every state but the last two has an edge to STOPPING: a stop is possible from everywhere."""
+"""Allowed transitions between the states of a run; a stop is possible from every state except
+the last two."""
 
 
 class IllegalTransition(RuntimeError):
-    """A bug in the engine: it tried to go where the table has no edge."""
+    """Error for a forbidden state transition of a run, which indicates a bug in the engine."""
 
 
 class StateMachine:
-    """Holds the current state and refuses transitions the table does not have."""
+    """State machine that stores the state of a run and rejects forbidden transitions."""
 
     def __init__(self) -> None:
         self.state = RunState.IDLE
 
     def to(self, new: RunState) -> None:
-        """Go to `new`.
+        """Change the current state to `new`.
 
         Raises:
-            IllegalTransition: There is no such edge.
+            IllegalTransition: The table of allowed transitions has no transition from the current
+                state to `new`.
         """
         if new not in TRANSITIONS[self.state]:
             raise IllegalTransition(f"no transition from {self.state} to {new}")
@@ -120,7 +129,10 @@ class StateMachine:
 
 
 class Outcome(StrEnum):
-    """How a run ended. One without stop document is `interrupted`: nobody could say."""
+    """Outcome of a run, as stored in its stop document.
+
+    A run directory without a stop document counts as `interrupted`.
+    """
 
     COMPLETED = "completed"
     STOPPED = "stopped"
@@ -130,18 +142,18 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """How a run ended.
+    """Result of a run.
 
     Attributes:
-        outcome: `completed`, `stopped`, `tripped` or `failed`.
-        reason: In words, empty when completed.
-        error: What ended it early, None when completed.
-        steps_done: Plan steps that were executed to their end.
-        unsettled: Steps whose dwell ran into its time-out.
-        samples: State rows read.
+        outcome: Outcome of the run: `completed`, `stopped`, `tripped` or `failed`.
+        reason: Reason why the run ended early, as readable text; empty if the run is completed.
+        error: Error that ended the run early; None if the run is completed.
+        steps_done: Number of plan steps that were completed.
+        unsettled: Indices of the plan steps whose dwell ended by its time-out.
+        samples: Number of state rows that were read.
         device_s: Device time from the first to the last sample [s].
         wall_s: Wall time of the run [s].
-        notes: What else went wrong on the way out.
+        notes: Descriptions of further problems that occurred while the run ended.
     """
 
     outcome: Outcome
@@ -156,11 +168,12 @@ class RunResult:
 
 
 class Reply(NamedTuple):
-    """The answer to a question.
+    """Answer to a question.
 
     Attributes:
-        yes: Whether it is done; a no stops the run.
-        who: Who answered; empty when nobody did, which is no yes either.
+        yes: Whether the answer is yes; any other answer ends the run.
+        who: Name of the operator who answered; empty if no operator answered, which also counts as
+            "no".
     """
 
     yes: bool
@@ -168,61 +181,74 @@ class Reply(NamedTuple):
 
     @property
     def word(self) -> str:
-        """`yes` or `no`; nothing when nobody answered."""
+        """Answer `yes` or `no`; empty text if no operator answered."""
         return ("yes" if self.yes else "no") if self.who else ""
 
     @property
     def words(self) -> str:
-        """`anna answered no`, for people."""
-        return f"{self.who} answered {self.word}" if self.who else "nobody answered"
+        """Answer as readable text, such as `anna answered no`."""
+        return f"{self.who} answered {self.word}" if self.who else "no operator answered"
 
 
 NOBODY = Reply(yes=False, who="")
-"""Nobody could answer."""
+"""Reply to a prompt that no operator can answer."""
 
 Prompt = Callable[[str, Callable[[], object]], Reply]
-"""Asks the operator; returns who answered what.
+"""Callback that asks the operator a question and returns the reply.
 
-While it waits it calls its second argument again and again: that keeps reading the robot, raises
-`Stopped` when a stop is requested, and returns why the run will pause once the question is
-answered, nothing while it will not.
+While the callback waits for the answer, it calls its second argument repeatedly. The second
+argument is a function that reads the robot, raises `Stopped` if a stop is requested, and returns
+the reason for pausing the run after the question; an empty text means no pause.
 """
 
 
 def nobody(text: str, meanwhile: Callable[[], object]) -> Reply:
-    """Answer for an unattended run: nobody confirms."""
+    """Return the reply to a prompt in an unattended run, in which no operator can answer."""
     return NOBODY
 
 
 GoOn = Callable[[], str]
-"""Looks, without waiting, whether somebody at the robot lets the run go on: who, or nothing."""
+"""Callback that checks without waiting whether an operator at the robot ends a pause.
+
+The callback returns the name of the operator who ends the pause, or an empty string.
+"""
 
 
 def nobody_goes_on() -> str:
-    """Answer for a run without a console: only a request lets it go on."""
+    """Return an empty string, because a run without a console has no operator to ask."""
     return ""
 
 
 Measured = Callable[[Step, StructArray], object]
-"""Is given the settled rows of every dwell; may raise when they say that something is wrong."""
+"""Callback that receives the settled rows of every dwell of a run.
+
+The callback raises an error if the rows of the dwell are implausible.
+"""
 
 Health = Callable[[], Mapping[str, Any]]
-"""Gaps, duplicates, … of the recording so far, and how far it is behind; cheap."""
+"""Callback that returns the state of the recording: number of gaps, number of duplicates, …, and
+delay of writing.
+
+The callback must return quickly, because the control thread calls it.
+"""
 
 
 @dataclass(slots=True)
 class Requests:
-    """What operators, signals, interlocks and the watchdog ask of a run.
+    """Requests of operators, signals, interlocks and the watchdog to a run.
 
-    Set from any thread or a signal handler; the control thread looks at them before every block.
+    Any thread or signal handler can set the fields of `Requests`; the control thread reads the
+    fields before every block.
 
     Attributes:
-        ended_by: Error for which the watchdog ended the run; None if it did not.
-        stop: Stop reason; empty if none.
-        by_signal: Whether a signal requested the stop.
-        pause: Pause reason; empty if none.
-        held: The violation of an interlock that only pauses; empty if none.
-        resumed_by: Who let it go on last.
+        ended_by: Error with which the watchdog ended the run; None if the watchdog did not end the
+            run.
+        stop: Reason for the requested stop; empty if no stop is requested.
+        by_signal: Whether a signal, and not an operator, requested the stop.
+        pause: Reason for the requested pause; empty if no pause is requested.
+        held: Description of the violated interlock with the action `pause`; empty if no such
+            interlock is violated.
+        resumed_by: Name of the operator who ended the last pause.
     """
 
     ended_by: HilError | None = None
@@ -233,7 +259,7 @@ class Requests:
     resumed_by: str = ""
 
     def obey_stop(self) -> None:
-        """Raise `Stopped` if a stop was requested, or the error of the watchdog."""
+        """Raise the watchdog error, or `Stopped` if a stop was requested."""
         if self.ended_by is not None:
             raise self.ended_by
         if self.stop:
@@ -241,38 +267,47 @@ class Requests:
 
     @property
     def why_paused(self) -> str:
-        """Every reason to pause, empty when there is none."""
+        """All current reasons for a pause as one text; empty if no pause is due."""
         return "; ".join(reason for reason in (self.pause, self.held) if reason)
 
 
 READ_WITHIN_S = 3.0
-"""What a driver may take for the last `read`, beside the time the arm needs to come to rest."""
+"""Time limit of the last call of `read` of a driver during a stop [s], in addition to the time
+that the arm needs to stop."""
 
 COMMAND_WITHIN_S = 30.0
-"""What a driver may take to take over a motion or a load; the arm stands still meanwhile [s]."""
+"""Time limit for a driver to accept a motion or a payload [s]; the arm is static during the
+call."""
 
 PARK_WITHIN_S = 2.0
-"""How soon a standing arm has taken over a new set-point to hold [s]."""
+"""Time limit for a driver to accept a new set-point at which a static arm is held [s]."""
 
 DWELL_GRACE_S = 2.0
-"""How much longer than its own time-out a dwell may take before the robot counts as hung [s]."""
+"""Additional time beyond the time-out of a dwell after which the robot is considered to hang
+[s]."""
 
 LEAST_PACE = 0.02
-"""Smallest speed share used to extend a move's time-out; lower shares count as this one."""
+"""Minimum speed scaling, from 0 to 1, with which the time-out of a move is extended; lower
+values are raised to this minimum."""
 
 CLEAR_FOR_S = 5.0
-"""Device time an interlock that pauses must be clear before the run goes on by itself [s]."""
+"""Device time for which the interlock that paused a run must be clear before the run resumes
+automatically [s]."""
 
 UNATTENDED_S = 3600.0
-"""Device time for which interlocks may pause a run that no operator attends [s]: a hot joint cools
-down in less, whereas a speed slider or a full disk stays as it is until a person is notified."""
+"""Maximum device time for which interlocks can pause an unattended run [s].
+
+A hot joint cools down in less than this time, whereas a reduced speed slider or a full disk does
+not change until an operator acts.
+"""
 
 UNHURRIED_BLOCKS = 200
 SLOWLY_S = 0.1
-"""Wall time a block takes on a virtual clock once a pause has become a long one [s]."""
+"""Wall time per block on a virtual clock after the first 200 blocks of a pause [s]."""
 
 PARKED = -1
-"""Segment of samples that belong to no step: before the first one, while paused or asked."""
+"""Segment number that is recorded for samples outside any step: before the first step, in a
+pause or at a prompt."""
 
 SEGMENT_KINDS: dict[StepKind, Literal["move", "trajectory", "hold"]] = {
     "warmup": "move",
@@ -284,25 +319,28 @@ SEGMENT_KINDS: dict[StepKind, Literal["move", "trajectory", "hold"]] = {
 }
 
 SILENCE = (RobotTimeout, RobotConnectionError, StaleState)
-"""What a robot looks like to a process that did not run, however short that was."""
+"""Classes of robot errors that a suspension of this process can cause, even a short suspension."""
 
 
 class Engine:
-    """Runs one plan once.
+    """Engine that executes one plan a single time.
 
     Args:
-        plan: What to do; it must start where the robot stands (preflight checks that).
-        robot: Connected.
-        sink: Receives every sample and event.
-        interlocks: Judged on every sample.
-        observers: Receive progress events; they stay open, the caller closes them.
-        prompt: Asks the operator to change the load.
-        go_on: Looks whether somebody at the robot ends a pause.
-        measured: Is given the settled rows of every dwell; may raise.
-        health: How the recording is doing, for progress events.
-        stale_after_s: How long the state may stand still [s]; None for the default.
-        steps: Of how many steps observers are told, where the plan is what was left of so many;
-            those of the plan by default.
+        plan: Plan to execute; its start pose must be the present pose of the robot, which preflight
+            checks.
+        robot: Connected robot.
+        sink: Receiver of every sample and every event.
+        interlocks: Interlocks that the engine checks on every sample.
+        observers: Receivers of progress events; the caller of the engine closes them.
+        prompt: Callback that asks the operator to change the load.
+        go_on: Callback that checks whether an operator at the robot ends a pause.
+        measured: Callback that receives the settled rows of every dwell and can raise an error that
+            ends the run.
+        health: Callback that returns the state of the recording for progress events.
+        stale_after_s: Maximum time without a new robot state [s]; None for the default of the
+            interlock `stale`.
+        steps: Total number of steps that is reported to observers if `plan` is only the remainder
+            of a resumed plan; by default the number of steps of `plan`.
     """
 
     def __init__(
@@ -351,39 +389,44 @@ class Engine:
 
     @property
     def state(self) -> RunState:
-        """Where the run is."""
+        """Current state of the run."""
         return self._machine.state
 
     @property
     def pause_pending(self) -> bool:
-        """Whether a pause is requested, be it still to come or there already."""
+        """Whether a pause is requested or has already begun."""
         return bool(self._requests.pause)
 
     def request_stop(self, reason: str, *, by_signal: bool = False) -> None:
-        """Ask for a controlled stop; safe from any thread and from a signal handler."""
+        """Request a controlled stop; can be called from any thread and from a signal handler."""
         self._requests.by_signal = by_signal
         self._requests.stop = reason
 
     def request_pause(self, reason: str) -> None:
-        """Ask for a pause at the next checkpoint; safe from any thread and a signal handler."""
+        """Request a pause of the run at the next checkpoint of the plan.
+
+        The method can be called from any thread and from a signal handler.
+        """
         self._requests.pause = reason
 
     def request_resume(self, by: str) -> None:
-        """End a pause that was requested, or take the request back; safe from any thread.
+        """End a pause or cancel the request for a pause; can be called from any thread.
 
-        An interlock that holds the run keeps holding it until it is clear.
+        An interlock that pauses the run keeps the run paused until the measured quantity is within
+        its limit again.
         """
         self._requests.resumed_by = by
         self._requests.pause = ""
 
     def run(self, preflight: Callable[[], object] = lambda: None) -> RunResult:
-        """Execute the plan to one of its ends.
+        """Execute the plan until it is completed or ends early.
 
         Args:
-            preflight: Raises when the robot must not move.
+            preflight: Callback that checks the robot before motion and raises an error if the robot
+                must not move.
 
         Returns:
-            The result; errors of every kind end up in it and are not raised.
+            Result of the run; errors of every kind are stored in the result and not raised.
         """
         self._notifier.begin()
         error: HilError | None = None
@@ -393,7 +436,8 @@ class Engine:
             error = caught
         except KeyboardInterrupt:
             error = Stopped("stopped by the keyboard", by_signal=True)
-        except Exception as caught:  # a bug in hil or in a driver must not lose the run's end
+        # A bug in hil or in a driver must not prevent an orderly end of the run.
+        except Exception as caught:
             error = self._unexpected(caught)
         error = self._halt(self._or_suspension(error))
         self._notes += [*self._reading.judge.notes, *self._reading.notes]
@@ -414,7 +458,11 @@ class Engine:
         return result
 
     def _attempt(self, preflight: Callable[[], object]) -> None:
-        """Execute the plan; where a driver can hang in wall time, on a thread that can be left."""
+        """Execute the plan on a robot that uses a wall clock or a virtual clock.
+
+        With a wall clock, the plan is executed on a separate thread, which can be abandoned if a
+        driver hangs.
+        """
         if self._robot.capabilities.clock == "virtual":
             self._execute_plan(preflight)
             return
@@ -433,7 +481,8 @@ class Engine:
         preflight()
         self._enter(RunState.ARMED)
         with self._watchdog:
-            # The first block is judged before anything moves: what is violated already trips.
+            # The interlocks check the first block before the arm moves, so that an existing
+            # violation trips.
             self._reading.block()
             self._enter(RunState.RUNNING)
             for step in self._plan:
@@ -461,27 +510,27 @@ class Engine:
         self._notifier.block(rows)
 
     def _hold_for(self, trip: Trip) -> None:
-        # The first violation is the reason; those that follow only go on with it.
+        # Only the first violation is stored as the reason.
         self._requests.held = self._requests.held or trip.text(self._plan.joint_names)
 
     def _health_now(self) -> Mapping[str, Any]:
         return {**self._health(), "pausing": self._requests.why_paused}
 
     def _explain(self, error: RobotError, step: Step) -> None:
-        """Add the step of the plan and a lowered speed, which the driver does not know."""
+        """Add the plan step and a reduced speed, unknown to the driver, to its error message."""
         if isinstance(error, RobotFault | RobotConnectionError | StaleState):
             error.message += f", {under_way(self._plan, step)}"
         if slowed := self._reading.slowed:
             error.message += f"; {slowed}"
             error.hint = "; ".join(filter(None, (error.hint, "set the speed slider to 100 %")))
 
-    # Stopping.
+    # Stop.
 
     def _halt(self, error: HilError | None) -> HilError | None:
-        """Stop the robot first, then tell others; nothing here may prevent the stop.
+        """Stop the robot, then notify the observers; no failure in this method prevents the stop.
 
         Returns:
-            What ended the run; a `RobotFault` where only the stop itself went wrong.
+            The error that ended the run; a `RobotFault` if only the stop itself failed.
         """
         failure: HilError | None = None
         try:
@@ -503,36 +552,40 @@ class Engine:
             moving = bounded(self._reading.to_rest, within_s, "watching the arm come to rest")
         except HilError as caught:
             moving = caught.message
-        except Exception as caught:  # a broken driver or sink: the stop was commanded already
+        except Exception as caught:  # a broken driver or sink; the stop has already been commanded
             moving = self._unexpected(caught).message
         problems = [f"stopping the robot: {failure.message}"] if failure else []
         problems += [moving] if moving else []
         self._notes += problems
         if error is None and problems:
-            return RobotFault("; ".join(problems), hint="look at the robot before going near it")
+            hint = "check the robot from a distance before you approach it"
+            return RobotFault("; ".join(problems), hint=hint)
         return error
 
     def _unexpected(self, caught: Exception) -> HilError:
         self._notes.append("".join(traceback.format_exception(caught)[-3:]).strip())
         error = RobotError(
             f"unexpected {type(caught).__name__}: {caught}",
-            hint="this is a bug in hil or in the driver; stop.json holds where it happened",
+            hint="this is a bug in hil or in the driver; stop.json contains the traceback",
         )
         error.__cause__ = caught
         return error
 
     def _hung(self) -> None:
-        """On the watchdog's thread: the control thread has not come round for seconds."""
-        who = "the driver did not return from a call for seconds"
+        """Stop the robot and abandon the control thread, which has hung for seconds.
+
+        The watchdog calls this method on the watchdog thread.
+        """
+        who = "the driver did not return from a call for several seconds"
         hint = (
-            "look at the robot; own_process: true in the station gives the driver its own process"
+            "check the robot; own_process: true in the station starts the driver in its own process"
         )
-        # Whatever the thread does when the call returns after all, it is not a motion.
+        # If the call returns later, the control thread raises this error and commands no motion.
         self._requests.ended_by = RobotTimeout(who, hint=hint)
         try:
-            with contextlib.suppress(Exception):  # it is stopped once more on the way out
+            with contextlib.suppress(Exception):  # `_halt` stops the robot again
                 stop_robot(self._robot)
-            if hanging := self._reading.judge.hanging:  # looks up whose it is, which takes a while
+            if hanging := self._reading.judge.hanging:  # identifying the interlock takes time
                 who, self._requests.ended_by = hanging.message, hanging
             self._notes.append(f"{who}; the watchdog stopped the robot")
             self._sink.event("hung", reason=self._notes[-1])
@@ -540,27 +593,34 @@ class Engine:
             self._given_up.set()
 
     def _was_suspended(self, seconds: float) -> None:
-        """On the watchdog's thread: stop the robot before the control thread resumes."""
+        """Stop the robot after a suspension of the process, before the control thread resumes.
+
+        The watchdog calls this method on the watchdog thread.
+        """
         self._requests.ended_by = self._suspension(seconds)
         with contextlib.suppress(HilError):
             stop_robot(self._robot)
 
     def _suspension(self, seconds: float) -> InterlockTripped:
-        """Return the suspension error; all threads share one instance."""
+        """Return the error for a suspension of the process; all threads share one instance."""
         if self._suspended is None:
             self._suspended = InterlockTripped(
                 f"interlock suspended: this process did not run for {seconds:.1f} s (suspended, or "
-                "its computer asleep or overloaded); nothing watched the arm meanwhile",
-                hint="look at the robot, then resume the run; to hold a run, pause it (Ctrl-C, "
+                "its computer asleep or overloaded); the arm was not monitored",
+                hint="check the robot, then resume the run; to hold a run, pause it (Ctrl-C, "
                 "hil pause) instead of suspending its process",
             )
         return self._suspended
 
     def _or_suspension(self, error: HilError | None) -> HilError | None:
-        """Return the cause of the end; a timeout caused by a suspension becomes the suspension.
+        """Return the error that is recorded as the cause of the end of the run.
 
-        After a suspension several threads detect different problems in any order, and the recorded
-        cause must not depend on that order. A stop that was requested stays the cause.
+        A robot time-out that a suspension of the process caused is replaced by the suspension
+        error.
+
+        After a suspension of the process, several threads detect different problems in an arbitrary
+        order. The recorded cause must not depend on the order in which the threads detect these
+        problems. A requested stop remains the recorded cause even if other problems follow.
         """
         gap_s = self._watchdog.absent_s()
         if error is None or not gap_s or error is self._suspended:
@@ -572,14 +632,16 @@ class Engine:
         self._notes.append(f"reported after the suspension: {error.message}")
         return self._suspension(gap_s)
 
-    # Pausing.
+    # Pause.
 
     def _pause_if_asked(self) -> None:
-        """Hold while a pause is requested or an interlock holds the run.
+        """Hold the arm while a pause is requested or an interlock pauses the run.
 
         Raises:
-            InterlockTripped: No operator attends the run, and an interlock has held it for long.
-            HilError: What ended the run while it was paused: a stop, a trip, a fault.
+            InterlockTripped: An interlock has paused an unattended run for longer than
+                `UNATTENDED_S`.
+            HilError: A stop request, a tripped interlock or a robot fault ended the run during the
+                pause.
         """
         requests = self._requests
         if not requests.why_paused:
@@ -604,7 +666,8 @@ class Engine:
             now = reading.progress.last
             blocks += 1
             if not reading.wall and blocks > UNHURRIED_BLOCKS and waiting_since is None:
-                # Nobody has to wait through a night of a virtual clock, nor to record it.
+                # Slow down, so that a long pause on a virtual clock does not record hours of
+                # samples.
                 time.sleep(SLOWLY_S)
             if requests.pause and (who := self._go_on()):
                 requests.pause, requests.resumed_by = "", who
@@ -615,15 +678,15 @@ class Engine:
                     clear_since = now
                 elif now - clear_since >= CLEAR_FOR_S:
                     requests.held = ""
-            # A pause that a person asked for is ended by a person, who can see the interlock too.
+            # A pause requested by an operator is ended by an operator, who also sees the interlock.
             if not requests.held or attended or requests.pause:
                 waiting_since = None
             elif waiting_since is None:
                 waiting_since = now
             elif now - waiting_since >= UNATTENDED_S:
                 raise InterlockTripped(
-                    f"{requests.held}; paused for {UNATTENDED_S / 60:g} min without it being "
-                    "clear, and no operator attends the run",
+                    f"{requests.held}; the condition did not clear within "
+                    f"{UNATTENDED_S / 60:g} min of pause, and no operator attends the run",
                     hint="remove the cause at the robot, then resume the run",
                 )
             if (why := requests.why_paused) and why != reported:
@@ -633,7 +696,7 @@ class Engine:
     # Steps.
 
     def _execute(self, step: Step) -> None:
-        """Execute one step to its end, or raise what ended it."""
+        """Execute one step of the plan completely, or raise the error that ended the step."""
         self._requests.obey_stop()
         if step.kind == "payload":
             self._change_load(step)
@@ -657,7 +720,10 @@ class Engine:
             )
 
     def _confirm(self, text: str) -> None:
-        """Ask the operator, reading on meanwhile; raise `Stopped` unless the answer is yes."""
+        """Ask the operator a question; raise `Stopped` unless the answer is yes.
+
+        The robot is read while the operator is asked.
+        """
 
         def meanwhile() -> str:
             self._reading.block()
@@ -669,7 +735,7 @@ class Engine:
         self._notifier.answered(text, reply)
         self._sink.event("prompt", text=text, answered_by=reply.who, answer=reply.word)
         if not reply.yes:
-            refusal = reply.words if reply.who else "nobody confirmed"
+            refusal = reply.words if reply.who else "no operator confirmed"
             raise Stopped(f"{refusal}: {text!r}")
 
     def _move(self, step: Step, motion: Motion) -> None:
@@ -715,7 +781,7 @@ class Engine:
         self._measured(step, watch.rows)
 
     def _park(self) -> None:
-        """Hold the set-point where it is; the samples from now on belong to no step."""
+        """Hold the current set-point; later samples belong to no step of the plan."""
         row = self._reading.newest
         if row is None or int(row["segment"]) == PARKED:
             return
@@ -727,16 +793,16 @@ class Engine:
     def _command(self, segment: Segment) -> None:
         self._watchdog.be_patient(COMMAND_WITHIN_S)
         self._robot.prepare(segment)
-        # An upload may have taken its time, or have been given up by the watchdog.
+        # The upload possibly took long, or the watchdog has ended the run in the meantime.
         self._requests.obey_stop()
         self._robot.start()
         self._watchdog.be_patient(0.0)
 
     def _until_over(self, segment: int, within_s: float, what: str) -> None:
-        """Read until a segment is over; a lowered speed slider makes its time-out later.
+        """Read the robot until a segment is over; a reduced robot speed extends the time-out.
 
         Raises:
-            RobotTimeout: It takes longer.
+            RobotTimeout: The segment takes longer than its time-out.
         """
         deadline = self._reading.deadline(within_s)
         before = self._reading.progress.last
@@ -746,12 +812,12 @@ class Engine:
                 return
             now, share = float(last["device_time"]), self._reading.speed_share
             if share < 1.0 and now > before:
-                # The motion has come as far as `share` of this time at its planned speed.
+                # During this time, the motion progressed only by `share` of its planned speed.
                 deadline.extend((1.0 - max(share, LEAST_PACE)) * (now - before))
             before = now
             if deadline.over(now):
                 raise RobotTimeout(
-                    f"{what} was not over after {deadline.seconds:.1f} s",
+                    f"{what} was not finished after {deadline.seconds:.1f} s",
                     hint="check whether the controller still runs its program",
                 )
 
@@ -765,13 +831,14 @@ def _outcome_of(error: HilError | None) -> Outcome:
 
 
 WAYS = ("move", "warmup")
-"""Kinds of steps that only get somewhere."""
+"""Kinds of plan steps that only move the arm to a pose, without a measurement."""
 
 
 def under_way(plan: Plan, step: Step) -> str:
-    """Describe a step, such as `in step 37 (move to pose 18)`, counted as people count.
+    """Return a plan step as text, such as `in step 37 (move to pose 18)`, counted from 1.
 
-    A way leads to the pose that is measured next; it has no pose of its own.
+    A step that only moves the arm is described by the pose that is measured next, because the step
+    itself has no pose.
     """
     of = ""
     if step.trajectory >= 0:
@@ -783,15 +850,18 @@ def under_way(plan: Plan, step: Step) -> str:
         goal = next((s for s in after if s.kind not in WAYS), step)
         if goal.kind in AT_REST:
             of = f" to pose {goal.pose}" if goal.pose >= 0 else f" to the {goal.kind}"
-    which = f"step {step.index + 1}" if step.index >= 0 else "a step of the way back"
+    which = f"step {step.index + 1}" if step.index >= 0 else "a step of the return to the plan"
     return f"in {which} ({step.kind}{of})"
 
 
 class DwellWatch:
-    """Decides when a dwell is over: enough settled samples, the shortest time, or the time-out.
+    """Criterion that determines when a dwell ends.
+
+    A dwell ends when its minimum duration is over and enough samples are settled, or at its
+    time-out.
 
     Args:
-        rule: The plan's rule.
+        rule: Dwell rule of the plan: minimum duration, number of settled samples and time-out.
     """
 
     def __init__(self, rule: DwellRule) -> None:
@@ -802,7 +872,7 @@ class DwellWatch:
         self._newest: list[StructArray] = []
 
     def feed(self, block: StructArray) -> bool:
-        """Add samples of this dwell; return whether it is over, settled or not."""
+        """Add samples of this dwell; return whether the dwell is over, settled or not."""
         if self._since is None:
             self._since = float(block["device_time"][0])
         speed: FloatArray = np.abs(block["qd"]).max(axis=1)
@@ -813,7 +883,7 @@ class DwellWatch:
 
     @property
     def rows(self) -> StructArray:
-        """The newest rows, as many as the rule asks for (fewer when there are fewer)."""
+        """Newest rows of the dwell, at most as many as the dwell rule requires."""
         return np.concatenate(self._newest)[-self._rule.samples :]
 
     @property
@@ -823,25 +893,27 @@ class DwellWatch:
 
     @property
     def settled(self) -> bool:
-        """True when the newest samples are all at rest and the shortest time is over."""
+        """Whether the newest samples are static and the minimum dwell duration is over."""
         newest = self._quiet[-self._rule.samples :]
         enough = len(newest) == self._rule.samples and all(newest)
         return enough and self.elapsed_s >= self._rule.dwell_s
 
 
 PROGRESS_EVERY_S = 0.2
-"""Wall time between two progress events [s]."""
+"""Wall time between two progress events of a run [s]."""
 
 
 class Notifier:
-    """Publishes what a run does: states, steps, prompts, progress now and then, and blocks.
+    """Publisher of the events of a run: states, steps, prompts, progress, and blocks of rows.
 
     Args:
-        plan: What is executed.
-        observers: Receive the events.
-        done: What has been read and done; looked at whenever progress is published.
-        health: How the recording is doing.
-        steps: Of how many steps to speak; those of the plan by default, which is then all of it.
+        plan: Plan that the engine executes.
+        observers: Receivers of the published events.
+        done: Counters of read samples and completed steps; every progress event contains their
+            values.
+        health: Callback that returns the state of the recording.
+        steps: Total number of steps that is reported; by default the number of steps of `plan`, if
+            `plan` is the whole plan.
     """
 
     def __init__(
@@ -865,44 +937,44 @@ class Notifier:
         self._asked = 0
 
     def begin(self) -> None:
-        """Start the wall clock of the run."""
+        """Start measuring the wall time of the run."""
         self._begin = time.monotonic()
 
     @property
     def wall_s(self) -> float:
-        """Wall time since the beginning [s]."""
+        """Wall time since the call of `begin` [s]."""
         return time.monotonic() - self._begin
 
     def state(self, state: RunState, reason: str = "") -> None:
-        """Publish the state that the run is in now."""
+        """Publish the current state of the run."""
         self._state = state
         self._observers.publish({"kind": "state", "state": str(state), "reason": reason})
 
     def step(self, step: Step) -> None:
-        """Publish the step that begins."""
+        """Publish an event for the step that begins now."""
         self._step = step
         self._observers.publish({"kind": "step", **self._where(step), "load": step.load})
 
     def block(self, rows: StructArray) -> None:
-        """Publish a block that was recorded and judged, and progress if it is due."""
+        """Publish a recorded and checked block of rows, and a progress event if one is due."""
         self._observers.publish_rows(rows)
         if self._step is not None and time.monotonic() >= self._next:
             self.progress()
 
     def asking(self, text: str) -> None:
-        """Publish a question to the operator."""
-        self._asked += 1  # two questions may have the same text
+        """Publish an event for a question to the operator."""
+        self._asked += 1  # distinguishes questions with equal text
         self._observers.publish(
             {"kind": "prompt", "text": text, "asked": self._asked, "answered_by": ""}
         )
 
     def answered(self, text: str, reply: Reply) -> None:
-        """Publish the operator's answer, or that nobody could answer."""
+        """Publish the answer of the operator, or that no operator could answer."""
         answer = {"answered_by": reply.who or "nobody", "answer": reply.word}
         self._observers.publish({"kind": "prompt", "text": text, **answer})
 
     def progress(self) -> None:
-        """Publish how far the run is."""
+        """Publish an event with the progress of the run."""
         if self._step is None:
             return
         self._next = time.monotonic() + PROGRESS_EVERY_S

@@ -1,16 +1,18 @@
-"""Interlocks: conditions that must hold for every state sample of a run.
+"""Interlocks: conditions that every state sample of a run must satisfy.
 
-An interlock is asked about every block before the engine reads the next one (`hil.engine.reading`),
-on the control thread. It therefore never waits, and it judges by level and not by edge: a violation
-that goes on is reported again with every block. What it returns is a `Trip`; whether that stops
-the robot or pauses the run at the next checkpoint is the interlock's `action`.
+Every interlock checks every block of rows on the control thread before the engine reads the next
+block (`hil.engine.reading`). The check of an interlock must therefore never wait. Interlocks check
+the level of a quantity, not its change: a persistent violation is reported again for every block.
+An interlock reports a violation as an object of the class `Trip`. The attribute `action` of the
+interlock determines whether a trip stops the robot or pauses the run at the next checkpoint.
 
-A quantity that an interlock needs and the robot does not deliver while it moves trips too: what
-cannot be seen is not safe (temperatures excepted, which not every arm measures). For the same
-reason `interlocks_from_spec` refuses a limit of the spec that cannot be judged on this robot.
+An interlock also trips if the robot stops delivering a required quantity while it moves, because an
+unmeasured quantity cannot be assumed safe (temperatures are excepted, because not every arm
+measures them). Because an unmeasured quantity cannot be assumed safe, `interlocks_from_spec` also
+rejects a limit of the spec that cannot be checked on this robot.
 
-The file goes from the protocol, which plug-ins implement as well, over the interlocks of a run and
-how they are built from a spec, to the built-in kinds.
+The file contains, in this order: the protocol of interlocks, which plug-ins also implement; the
+interlocks of a run and their construction from a spec; the built-in kinds of interlocks.
 """
 
 from __future__ import annotations
@@ -40,24 +42,26 @@ from hil.robot import ClockKind, EffortKind, Status
 from hil.spec import COOLER_C, INTERLOCK_KINDS, WorkspaceInterlock
 
 STALE_AFTER_S = 0.5
-"""Default of the interlock `stale`: wall time without a newer sample [s]."""
+"""Default limit of the interlock `stale`: maximum wall time without a newer sample [s]."""
 
 Action = Literal["stop", "pause"]
 
 
 @dataclass(frozen=True, slots=True)
 class Trip:
-    """Why motion was stopped.
+    """Violation of one interlock by one sample.
 
     Attributes:
-        interlock: Its name.
-        joint: Index of the joint concerned, −1 when it is no joint's fault.
-        value: What was found, NaN for what could not be measured.
-        limit: What would have been allowed; both in `unit`.
-        device_time: Of the sample [s].
-        subject: What `value` is of, where it is not the joint's.
-        least: Whether the value must be above the limit instead of below.
-        lost: Whether what is not measured was measured before.
+        interlock: Name of the interlock that was violated.
+        joint: Index of the joint; −1 if the violation does not concern a single joint.
+        value: Measured value of the monitored quantity in `unit`; NaN if the quantity was not
+            measured.
+        limit: Limit of the monitored quantity in `unit`.
+        unit: Unit of `value` and `limit`.
+        device_time: Device time of the sample that violates the limit [s].
+        subject: Name of the monitored quantity if the quantity does not belong to a joint.
+        least: Whether `limit` is a minimum instead of a maximum.
+        lost: Whether the quantity was measured earlier in the run but is not measured now.
     """
 
     interlock: str
@@ -71,18 +75,18 @@ class Trip:
     lost: bool = False
 
     def text(self, joint_names: Sequence[str]) -> str:
-        """Return the trip in words."""
+        """Return the violation as a readable sentence."""
         what = self.subject or joint_names[self.joint]
-        missing = "was measured, is not any more" if self.lost else "not measured"
-        found = missing if math.isnan(self.value) else f"at {self.value:.4g} {self.unit}"
+        missing = "is no longer measured" if self.lost else "is not measured"
+        state = missing if math.isnan(self.value) else f"at {self.value:.4g} {self.unit}"
         bound = "at least" if self.least else "limit"
         return (
-            f"interlock {self.interlock}: {what} {found}, {bound} {self.limit:.4g} {self.unit}, "
+            f"interlock {self.interlock}: {what} {state}, {bound} {self.limit:.4g} {self.unit}, "
             f"device time {self.device_time:.3f} s"
         )
 
     def error(self, joint_names: Sequence[str]) -> InterlockTripped:
-        """Return the trip as the error that ends the run."""
+        """Return the violation as the error that ends the run."""
         return InterlockTripped(
             self.text(joint_names),
             hint="find the cause before running again; the data up to the trip is kept",
@@ -91,14 +95,16 @@ class Trip:
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """How far a quantity is from its limit at one moment; for people, nothing is judged by it.
+    """Distance of a monitored quantity from its limit at one moment, used only for display.
 
     Attributes:
-        value, limit: In `unit`; of what is nearest to its limit.
-        share: 1 where nothing is near, 0 at the limit and beyond.
-        joint: Index of the joint concerned, −1 when it is no joint's.
-        subject: What `value` is of, where it is not the joint's.
-        least: Whether the value must be above the limit instead of below.
+        value, limit: Measured value that is nearest to its limit, and this limit, both in `unit`.
+        unit: Unit of `value` and `limit`.
+        share: Remaining share of the distance to the limit: 1 far from the limit, 0 at the limit
+            and beyond.
+        joint: Index of the joint; −1 if the quantity does not belong to a joint.
+        subject: Name of the quantity if the quantity does not belong to a joint.
+        least: Whether `limit` is a minimum instead of a maximum.
     """
 
     value: float
@@ -110,83 +116,95 @@ class Margin:
     least: bool = False
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form."""
+        """Return the margin as JSON data."""
         return asdict(self)
 
 
 class Interlock(Protocol):
-    """One condition that must hold for every sample.
+    """Condition that every state sample of a run must satisfy.
 
-    A plug-in registered under `hil.interlocks` is called as `plugin(context, action=…, **own)`
-    with the spec's other keys and returns one of these. What it raises ends the run.
+    A plug-in registered under `hil.interlocks` is called as `plugin(context, action=…, **own)`,
+    with the remaining keys of its spec entry as `own`, and returns an interlock. An exception
+    raised by an interlock ends the run.
     """
 
     @property
     def name(self) -> str:
-        """Shown when it trips."""
+        """Name of the interlock in messages and events."""
 
     @property
     def action(self) -> Action:
-        """What happens then; `pause` only where going on to the next checkpoint is safe."""
+        """Reaction to a violation, `stop` or `pause`; `pause` must be safe until the checkpoint.
+
+        Until the next checkpoint, the motion continues after a violation with the action `pause`.
+        """
 
     def check(self, block: StructArray) -> Trip | None:
-        """Return the first violation in the block, or None; asked for each block, must not wait."""
+        """Return the first violation of the limit in the block of rows, or None.
+
+        The engine calls this method for each block, so that the method must never wait.
+        """
 
     def clear(self, block: StructArray) -> bool:
-        """Return whether every row is well inside the limit again; asked while paused."""
+        """Return whether all rows are well within the limit; called during a pause."""
 
 
 @runtime_checkable
 class HasMargin(Protocol):
-    """An interlock that also knows how far its quantity is from its limit."""
+    """Interlock that can also return the margin of its quantity."""
 
     def margin(self, block: StructArray) -> Margin | None:
-        """Return the margin of the last row of a block; None when nothing is known.
+        """Return the margin of the last row of a block; None if the margin is unknown.
 
-        Asked a few times a second on another thread than `check`, at the same time.
+        This method is called a few times per second on a different thread than `check`, possibly at
+        the same time as `check`.
         """
 
 
 class Distances(Protocol):
-    """R distances that follow from the joint positions.
+    """Set of R distances that are functions of the joint positions.
 
-    `hil.dynamics.SampleDistances` and `hil.dynamics.FlangeSpace` are such.
+    The classes `hil.dynamics.SampleDistances` and `hil.dynamics.FlangeSpace` implement this
+    protocol.
     """
 
     @property
     def names(self) -> Sequence[tuple[str, str]]:
-        """(R,) between which two things."""
+        """Names of the two bodies of each of the R distances."""
 
     @property
     def reach(self) -> FloatArray:
-        """(R, n) metres that each can change per radian of each joint, at most."""
+        """(R, n) maximum change of each distance per rotation of each joint [m/rad]."""
 
     def distances(self, q: FloatArray) -> FloatArray:
-        """Return (R, N) distances [m] at `q` (N, n)."""
+        """Return the distances [m] at the joint positions `q` (N, n) as an array (R, N)."""
 
     def copy_for_thread(self) -> Distances:
-        """Return the same distances for another thread."""
+        """Return a copy of the distance functions for use in a different thread."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InterlockContext:
-    """What is known of one run; whatever is left out cannot be watched.
+    """Properties of one run that interlocks need; properties that are left out cannot be monitored.
 
     Attributes:
-        joint_names: Length n.
-        effort_kind: What the robot measures, see `Capabilities`.
-        drive_gains: Torque per current [N·m/A] per joint, empty when unknown.
-        effort_max: The robot's own torque limits [N·m] per joint, empty when unknown.
-        clearance: Distances of the arm with its loads to itself and everything around; None for
+        joint_names: Names of the n joints.
+        effort_kind: Kind of the measured effort, see `Capabilities`.
+        drive_gains: Drive gains, torque per current [N·m/A] per joint; empty if unknown.
+        effort_max: Torque limits of the robot [N·m] per joint; empty if unknown.
+        clearance: Distances of the arm with its loads to itself and to its surroundings; None for
             an arm without collision bodies.
-        clearance_m: Distance [m] that the plan keeps.
-        flange: Returns the distances of flange and payload to the faces of a workspace; None where
-            the position of the flange is not known.
-        behind_s: How far writing is behind reading [s], for `check`; None if nothing is recorded.
-        folder: The run directory, for `check`; None if nothing is recorded.
-        speed_scaling: Executed over planned speed, the lowest of the newest block; None for a
-            robot that does not report it.
-        clock: `virtual` robots stand still while the recorder catches up.
+        clearance_m: Minimum distance for which the plan was checked [m].
+        flange: Callback that returns the distances of flange and payload to the faces of a
+            workspace; None if the flange position is unknown.
+        behind_s: Callback that returns by how much writing is behind reading [s], called in
+            `check`; None without a recording.
+        folder: Callback that returns the run directory, called in `check`; None without a
+            recording.
+        speed_scaling: Callback that returns the lowest ratio of executed to planned speed in the
+            newest block; None if the robot does not report it.
+        clock: Clock of the robot; a robot with a `virtual` clock pauses while the recorder catches
+            up.
     """
 
     joint_names: tuple[str, ...] = ()
@@ -203,19 +221,19 @@ class InterlockContext:
 
 
 class Off(NamedTuple):
-    """An interlock of the spec that does not watch, and why."""
+    """Interlock that is inactive on this robot, with the reason for its inactivity."""
 
     name: str
     why: str
 
 
 class Interlocks(Sequence[Interlock]):
-    """The interlocks of a run; close them after it.
+    """Interlocks of a run; the caller closes them after the run.
 
     Args:
-        watching: In the order in which they are judged.
-        stale_after_s: How long the robot's state may stand still [s]; the engine sees to that.
-        off: What does not watch.
+        watching: Active interlocks in the order in which the engine calls them.
+        stale_after_s: Maximum time without a new robot state [s], which the engine itself checks.
+        off: Inactive interlocks.
     """
 
     def __init__(
@@ -241,9 +259,9 @@ class Interlocks(Sequence[Interlock]):
         return len(self._watching)
 
     def describe(self) -> list[dict[str, str]]:
-        """List what watches and what does not: `{name, action, limit}`, and `why` if it is off.
+        """List all interlocks as `{name, action, limit}`, with `why` for an inactive interlock.
 
-        A plug-in's limit is its `watches`, if it has one.
+        The listed limit of a plug-in is its attribute `watches`, if the plug-in has this attribute.
         """
         rows = [
             {"name": one.name, "action": one.action, "limit": str(getattr(one, "watches", ""))}
@@ -255,29 +273,33 @@ class Interlocks(Sequence[Interlock]):
         ]
 
     def close(self) -> None:
-        """End what runs beside the control thread. Idempotent."""
+        """Stop the threads of all interlocks. Idempotent."""
         for interlock in self._watching:
             close = getattr(interlock, "close", None)
             if close is not None:
                 close()
 
 
-# From a spec to interlocks that can judge this robot.
+# Construction of interlocks from a spec.
 
 GROUP = "hil.interlocks"
 MEMBERS = ("name", "action", "check", "clear")
 
 OWN_LIMIT_SHARE = 0.95
-"""Of the robot's own torque limits: drives that saturate at a limit never report more than it."""
+"""Share of the torque limits of the robot that is used as the limit of an interlock.
+
+Drives that saturate at their torque limit never report a higher torque, so that an interlock at the
+torque limit itself would never trip.
+"""
 
 DEGREES = 180 / np.pi
 
 PerJoint = float | FloatArray
-"""One number for every joint, or (n,)."""
+"""Limit of a quantity: one number for all joints, or an array (n,)."""
 
 
 class Partly(NamedTuple):
-    """An interlock that does not watch every joint, and why."""
+    """Interlock that monitors only some joints, with the reason."""
 
     interlock: Interlock
     why: str
@@ -286,26 +308,28 @@ class Partly(NamedTuple):
 def interlocks_from_spec(
     specs: Sequence[Any], context: InterlockContext | None = None
 ) -> Interlocks:
-    """Build the interlocks a spec asks for; nothing is started.
+    """Build the interlocks of a spec; no thread is started.
 
-    A limit that the spec gives must be judgeable on this robot. One that it leaves to the robot or
-    the station is not watched where they have none: see `Interlocks.off`.
+    Each limit that the spec contains must be checkable on this robot. If the spec leaves a limit to
+    the robot or station and neither of them defines the limit, the interlock is inactive: see
+    `Interlocks.off`.
 
     Args:
-        specs: `ExperimentSpec.interlocks`.
-        context: What is known of the run.
+        specs: Entries of `ExperimentSpec.interlocks` in the spec.
+        context: Known properties of the run that interlocks need.
 
     Raises:
-        PlanError: An interlock cannot be judged on this robot, or there is no such kind; all that
-            is wrong is listed. An interlock nobody judges would be worse than none.
-        PluginError: A plug-in does not load.
+        PlanError: An interlock cannot be checked on this robot, or the kind of an interlock does
+            not exist. The message of the `PlanError` lists all problems. An interlock that is
+            silently not checked is more dangerous than a missing interlock.
+        PluginError: A plug-in interlock cannot be loaded.
     """
     context = context or InterlockContext()
     watching: list[Interlock] = []
     off: list[Off] = []
     problems: list[str] = []
     for number, spec in enumerate(specs):
-        if spec.kind == "stale":  # judged by the engine itself, see `hil.engine.reading`
+        if spec.kind == "stale":  # checked by the engine itself, see `hil.engine.reading`
             continue
         if not getattr(spec, "enabled", True):
             off.append(Off(spec.kind, "switched off in the spec"))
@@ -336,7 +360,7 @@ def _tracking_error(spec: Any, context: InterlockContext) -> Interlock:
 def _temperature(spec: Any, context: InterlockContext) -> Interlock:
     limit = _limit(spec.limit_c, context)
     resume = limit - COOLER_C if spec.resume_below_c is None else spec.resume_below_c
-    # Not every arm measures temperatures; one that does not cannot be stopped by them.
+    # Not every arm measures temperatures, so missing temperatures do not trip.
     return Threshold(
         spec.kind, "temperature", limit, "°C", required=False, action=spec.action, resume=resume
     )
@@ -357,8 +381,8 @@ def _torque(spec: Any, context: InterlockContext) -> Interlock | str | Partly:
     if context.effort_kind == "current":
         if not context.drive_gains:
             why = "this robot measures currents, and its drive gains are not known"
-            return _only_if_left_out(spec.limit_nm, f"{why}: use kind: current with limit_a")
-        # An arm whose currents count the other way round has gains below zero.
+            return _reason_unless_specified(spec.limit_nm, f"{why}: use kind: current with limit_a")
+        # Arms with inverted current direction have negative gains.
         gains = np.abs(context.drive_gains)
     if spec.limit_nm is not None:
         limit = _limit(spec.limit_nm, context)
@@ -371,24 +395,24 @@ def _torque(spec: Any, context: InterlockContext) -> Interlock | str | Partly:
         return Threshold(spec.kind, "effort", limit / gains, "N·m", gains)
     names = context.joint_names or tuple(f"joint {i + 1}" for i in range(len(unknown)))
     whose = ", ".join(name for name, one in zip(names, unknown, strict=True) if one)
-    _only_if_left_out(spec.limit_nm, f"the drive gains are not known for {whose}")
+    _reason_unless_specified(spec.limit_nm, f"the drive gains are not known for {whose}")
     why = f"the robot's own torque limits or drive gains are not known for {whose}"
     if unknown.all():
         return why
     known_gains = np.where(unknown, 1.0, gains)
     limit = np.where(unknown, np.inf, limit)
     watching = Threshold(spec.kind, "effort", limit / known_gains, "N·m", known_gains)
-    return Partly(watching, f"{why}; it watches the other joints")
+    return Partly(watching, f"{why}; the interlock monitors the other joints only")
 
 
 def _known(values: PerJoint) -> BoolArray:
-    """Return where there is a number that a quantity can be compared with."""
+    """Return a mask of the array elements that are finite numbers above 0."""
     return np.isfinite(values) & np.greater(values, 0)
 
 
 def _workspace(spec: Any, context: InterlockContext) -> Interlock:
     if context.flange is None:
-        raise PlanError("nobody can tell where the flange of this robot is")
+        raise PlanError("the kinematics of this robot are unknown")
     space = context.flange(spec)
     faces = len({name for _, name in space.names})
     return LeastDistance(spec.kind, space, 0.0, shown=f"{faces} faces")
@@ -396,14 +420,14 @@ def _workspace(spec: Any, context: InterlockContext) -> Interlock:
 
 def _clearance(spec: Any, context: InterlockContext) -> Interlock | str:
     if context.clearance is None:
-        return _only_if_left_out(spec.least_m, "this robot has no collision bodies")
+        return _reason_unless_specified(spec.least_m, "this robot has no collision bodies")
     least = 0.5 * context.clearance_m if spec.least_m is None else spec.least_m
     return LeastDistance(spec.kind, context.clearance, least)
 
 
 def _recorder(spec: Any, context: InterlockContext) -> Interlock | str:
     if context.clock == "virtual":
-        return "a virtual clock waits for it"
+        return "not needed: the virtual clock waits for the recorder"
     if context.behind_s is None:
         return "nothing is recorded"
     return Backlog(context.behind_s, spec.behind_s, action=spec.action)
@@ -417,7 +441,7 @@ def _disk(spec: Any, context: InterlockContext) -> Interlock | str:
 
 def _speed_scaling(spec: Any, context: InterlockContext) -> Interlock | str:
     if context.speed_scaling is None:
-        return "the robot does not report it"
+        return "the robot does not report its speed scaling"
     return SpeedScaling(context.speed_scaling, action=spec.action)
 
 
@@ -425,20 +449,21 @@ def _plugged(spec: Any, context: InterlockContext) -> Interlock:
     known = plugins.names(GROUP)
     if spec.kind not in known:
         hint = did_you_mean(spec.kind, [*INTERLOCK_KINDS, *known])
-        raise PlanError(f"there is no interlock of kind {spec.kind!r}; {hint}")
+        raise PlanError(f"unknown interlock kind {spec.kind!r}; {hint}")
     plugin = plugins.load(GROUP, spec.kind)
     try:
         built = plugin(context, action=spec.action, **spec.parameters)
-    except Exception as error:  # a plug-in may raise anything
-        raise PlanError(f"it refuses what it was given: {type(error).__name__}: {error}") from error
+    except Exception as error:  # a plug-in can raise any exception
+        raise PlanError(f"it rejects its parameters: {type(error).__name__}: {error}") from error
     if lacking := [member for member in MEMBERS if not hasattr(built, member)]:
-        raise PlanError(f"its plug-in is no interlock: it lacks {', '.join(lacking)}")
+        raise PlanError(f"its plug-in is not an interlock: it lacks {', '.join(lacking)}")
     interlock: Interlock = built
     return interlock
 
 
 Build = Callable[[Any, InterlockContext], Interlock | str | Partly]
-"""Builds an interlock from its entry in the spec, or returns why it does not watch here."""
+"""Function that builds an interlock from its spec entry, or returns the reason why the interlock
+is inactive on this robot."""
 
 _BUILDERS: dict[str, Build] = {
     "tracking_error": _tracking_error,
@@ -462,35 +487,36 @@ def _limit(limit: float | tuple[float, ...], context: InterlockContext) -> PerJo
     return np.array(limit)
 
 
-def _only_if_left_out(limit: object, why: str) -> str:
-    """Return the reason not to watch; refuse it for a limit that the spec gives."""
+def _reason_unless_specified(limit: object, why: str) -> str:
+    """Return why an interlock is inactive, or raise `PlanError` if the spec has its limit."""
     if limit is not None:
         raise PlanError(why)
     return why
 
 
-# The built-in kinds.
+# Built-in kinds.
 
 CLEAR_SHARE = 0.9
-"""A quantity below this share of its limit is well inside again."""
+"""Share of the limit below which a quantity counts as well within its limit again."""
 
 _ALL = np.array(True)
 
 
 @dataclass(slots=True, eq=False)
 class Threshold:
-    """Trips when |value| of a joint exceeds `limit`, or is missing where it must not be.
+    """Interlock that trips if a joint quantity exceeds its limit or a value is missing.
 
     Attributes:
-        name: Shown when it trips.
-        field: Field of the state record; `minus` is subtracted from it when given.
-        limit: In the unit of the record; one number, or (n,).
-        unit, scale: For people: `limit * scale` is in `unit`.
-        required: Whether NaN (not measured) trips while the arm moves. If not, it does so only
-            for joints that were measured before.
-        action: What a trip does.
-        resume: Below this, in the unit of the record, the quantity is well inside again; by
-            default 90 % of the limit.
+        name: Name of the interlock in messages.
+        field: Field of the state record that is monitored; the field `minus` is subtracted if set.
+        limit: Maximum absolute value in the unit of the state record; one number, or an array (n,).
+        unit, scale: Unit for display; `limit * scale` is in `unit`.
+        required: Whether a missing value (NaN) trips the interlock while the arm moves. If
+            `required` is false, NaN trips the interlock only for joints that were measured earlier
+            in the run.
+        action: Reaction to a violation: `stop` or `pause`.
+        resume: Value, in the unit of the state record, below which the quantity is well within the
+            limit again; by default 90 % of the limit.
     """
 
     name: str
@@ -506,14 +532,14 @@ class Threshold:
     _before: StructArray | None = dataclasses.field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        # Of which joints a value is to come: of all, or of those that one came of.
+        # Joints that must have a value: all joints, or the joints that had a value before.
         self._expected = np.array(self.required)
 
     @property
     def watches(self) -> str:
-        """The limit, for people; from the lowest to the highest where joints differ.
+        """Limit as text for display, as a range if the joints have different limits.
 
-        A limit that is infinite is none.
+        Infinite limits of joints are omitted from the displayed range.
         """
         limits = np.ravel(self.limit * np.asarray(self.scale))
         limits = limits[np.isfinite(limits)]
@@ -526,7 +552,7 @@ class Threshold:
             return None
         before, self._before = self._before, block
         magnitude = self._magnitude(block)
-        # One comparison settles the usual block. NaN is not within a limit, so that it goes on.
+        # One comparison is enough for a normal block. NaN fails the comparison.
         if (magnitude <= self.limit).all():
             self._expected = _ALL
             return None
@@ -554,10 +580,10 @@ class Threshold:
         return not ((magnitude > resume) | self._missing(magnitude)).any()
 
     def margin(self, block: StructArray) -> Margin | None:
-        """See `HasMargin.margin`: that of the joint which is nearest to its limit."""
+        """Return the margin of the joint that is nearest to its limit; see `HasMargin.margin`."""
         magnitude = self._magnitude(block[-1:])[0]
         limit, scale = (np.broadcast_to(x, magnitude.shape) for x in (self.limit, self.scale))
-        used = np.where(np.isfinite(limit), magnitude / limit, np.nan)  # no limit: no margin
+        used = np.where(np.isfinite(limit), magnitude / limit, np.nan)  # no margin without a limit
         if np.isnan(used).all():
             return None
         joint = int(np.nanargmax(used))
@@ -570,7 +596,7 @@ class Threshold:
         return np.abs(values - block[self.minus] if self.minus else values)
 
     def _missing(self, magnitude: FloatArray) -> BoolArray:
-        """Return (N, n) what is NaN although a value is to come of that joint."""
+        """Return an (N, n) mask of NaN values of joints for which a measured value is expected."""
         unknown = np.isnan(magnitude)
         expected = np.logical_or.accumulate(~unknown, axis=0) | self._expected
         self._expected = expected[-1]
@@ -579,28 +605,31 @@ class Threshold:
 
 
 CLEAR_BY_M = 0.005
-"""Distances so much above the least are well inside again [m]."""
+"""Margin above the minimum distance at which a distance counts as well within its limit again
+[m]."""
 
 ROOMY_M = 0.1
-"""With so much to spare a distance counts as not near its limit at all [m]."""
+"""Margin above the minimum distance from which the display shows a distance as far from its
+limit [m]."""
 
 
 class LeastDistance:
-    """Trips when any of several distances falls below a least one.
+    """Interlock that trips if any of several distances falls below a minimum distance.
 
-    Every sample is judged, few are computed. A joint that turns by Δq moves no point by more than
-    its distance from the joint's axis times |Δq|, so between two positions a distance changes by
-    at most Σ |Δq_j| · reach_j, whichever way the arm took. While that is less than what every
-    distance had to spare at the last position computed, none needs computing.
+    Every sample is checked, but the distances are computed for only a few samples. A joint rotation
+    Δq moves a point of the arm by at most the distance of the point from the joint axis times |Δq|.
+    Between two joint positions, a distance therefore changes by at most Σ |Δq_j| · reach_j, for any
+    path between them. No distance needs to be computed while this bound is smaller than the margin
+    of every distance at the last joint position for which the distances were computed.
 
     Args:
-        name: Shown when it trips.
-        measured: The distances, from measured joint positions.
+        name: Name of the interlock in messages.
+        measured: Object that computes the distances from the measured joint positions.
         least_m: Least distance [m].
-        shown: What is watched, for people; by default the least distance.
+        shown: Description of the limit for display; by default the minimum distance.
 
     Attributes:
-        computed: Samples whose distances were computed so far.
+        computed: Number of samples for which the distances were computed so far.
     """
 
     def __init__(
@@ -615,12 +644,12 @@ class LeastDistance:
         self.action: Action = "stop"
         self.watches = shown or f"{1e3 * least_m:.4g} mm"
         self.computed = 0
-        # `margin` is asked on another thread and needs distances of its own.
+        # `margin` is called on a different thread and needs its own copy.
         self._measured, self._looked = measured, measured.copy_for_thread()
         self._least = least_m
         self._before: StructArray | None = None
         self._n = measured.reach.shape[1]
-        # Nothing was computed yet: nothing is proven anywhere.
+        # No distances have been computed yet, so no position is proven to be safe.
         self._at, self._spent = np.zeros(self._n), np.full(self._n, np.nan)
 
     def check(self, block: StructArray) -> Trip | None:
@@ -640,7 +669,7 @@ class LeastDistance:
         return known and bool((self._measured.distances(q) >= self._least + CLEAR_BY_M).all())
 
     def margin(self, block: StructArray) -> Margin | None:
-        """See `HasMargin.margin`: that of the pair with the least distance."""
+        """Return the margin of the pair with the smallest distance; see `HasMargin.margin`."""
         q = block["q"][-1:]
         if not np.isfinite(q).all():
             return None
@@ -652,17 +681,20 @@ class LeastDistance:
         return Margin(value, least, "mm", share, subject=subject, least=True)
 
     def _next_in_doubt(self, q: FloatArray, begin: int) -> int:
-        """Return the first row from `begin` that is not proven to be far enough; len(q) if none."""
+        """Return the index of the first row from `begin` that is not proven to be safe.
+
+        The returned index is len(q) if all rows are proven to be safe.
+        """
         if begin == len(q):
             return begin
         spent = np.abs(q[begin:] - self._at) @ self._spent
-        # NaN is not less.
+        # Comparisons with NaN are false.
         if spent.max() < 1.0:
             return len(q)
         return begin + int(np.logical_not(spent < 1.0).argmax())
 
     def _judged(self, block: StructArray, row: int) -> Trip | None:
-        """Compute the distances of one row and judge them; they then prove what lies around it."""
+        """Compute and check the distances of one row; update the bound of nearby rows."""
         q = block["q"][row]
         if not np.isfinite(q).all():
             joint = int(np.argmin(np.isfinite(q)))
@@ -672,7 +704,7 @@ class LeastDistance:
         self.computed += 1
         spare = distances - self._least
         if (spare > 0).all():
-            # A joint spends of a pair's spare what it can reach; the pair it spends most of counts.
+            # Largest share of a margin that one radian of each joint can consume, over all pairs.
             self._at = q.copy()
             self._spent = (self._measured.reach / spare[:, None]).max(axis=0, initial=0.0)
             return None
@@ -692,18 +724,19 @@ class LeastDistance:
 
 
 def _moving(block: StructArray, before: StructArray | None) -> BoolArray:
-    """Return (N,) rows that say `MOVING`, or whose set-point is another one than a row earlier.
+    """Return an (N,) mask of rows with the bit `MOVING` or with a changed set-point.
 
-    What is not measured matters there. A driver that forgets `MOVING` must not keep an interlock
-    from seeing that a sensor is dead.
+    A missing measured value violates an interlock only in the rows of this mask. The set-point is
+    compared in addition to the bit `MOVING`, because a driver that does not set `MOVING` must not
+    hide a failed sensor from an interlock.
 
     Args:
         block: State rows (N,).
-        before: The block before it, None for the first one.
+        before: The previous block of rows; None for the first block.
     """
     target = block["q_target"]
     first = target[:1] if before is None or not len(before) else before["q_target"][-1:]
-    # A set-point that the robot does not report is NaN, and says nothing: NaN is not above 0.
+    # A set-point that the robot does not report is NaN and counts as unchanged.
     steps = np.abs(np.diff(target, axis=0, prepend=first))
     stepped = np.any(steps > 0, axis=1)
     moves: BoolArray = np.logical_or(stepped, block["status"] & Status.MOVING)
@@ -711,12 +744,13 @@ def _moving(block: StructArray, before: StructArray | None) -> BoolArray:
 
 
 class Backlog:
-    """Trips when writing has fallen behind reading.
+    """Interlock that trips if writing the recording is too far behind reading the robot.
 
     Args:
-        behind_s: How far, now [s]; cheap, and never waits.
-        limit_s: How far it may be [s].
-        action: What a trip does.
+        behind_s: Callback that returns the present delay of writing [s]; the callback must be fast
+            and never wait.
+        limit_s: Maximum allowed delay of writing [s].
+        action: Reaction to a violation: `stop` or `pause`.
     """
 
     name = "recorder"
@@ -748,33 +782,35 @@ class Backlog:
 
 
 POLL_S = 1.0
-"""Between two looks at the disk [s]."""
+"""Time between two queries of the free space of a disk [s]."""
 
 NO_ANSWER_S = 10.0
-"""A disk that has not answered for so long counts as broken [s]."""
+"""Time without an answer to a query of the free space after which a disk counts as failed [s]."""
 
 CLEAR_FACTOR = 1.2
-"""A disk with so many times the least space has enough again."""
+"""Multiple of the minimum free space above which a disk counts as having enough space again."""
 
 
 def free_bytes(folder: Path) -> int:
-    """Return the free space [B] where `folder` is, for the user of this process."""
+    """Return the free space [B] of the disk of `folder` for the user of this process."""
     return shutil.disk_usage(folder).free
 
 
 class FreeSpace:
-    """Trips when a disk fills up, or does not answer.
+    """Interlock that trips if a disk is nearly full or does not answer a query of its free space.
 
-    A thread of its own looks: asking a network disk that is gone takes for ever. It begins with
-    the first check, which waits for its first answer: at that time the run is only being armed.
+    A separate thread queries the disk, because a query of a disconnected network disk can block
+    forever. The thread starts with the first call of `check`, which waits for the first answer; at
+    this time the run is only being armed and the arm does not move.
 
     Args:
-        folder: Returns a folder on the disk.
-        least_mb: Least free space [MB].
-        action: What a trip does.
-        free: Free space of a folder's disk [B]; may wait or raise `OSError`.
+        folder: Callback that returns a folder on the monitored disk.
+        least_mb: Minimum free space [MB].
+        action: Reaction to a violation: `stop` or `pause`.
+        free: Callback that returns the free space of the disk of a folder [B]; the callback can
+            wait or raise `OSError`.
         now: Monotonic clock [s].
-        poll_s: Between two looks [s].
+        poll_s: Time between two queries of the free space [s].
     """
 
     name = "disk"
@@ -825,7 +861,7 @@ class FreeSpace:
         return Margin(free, least, "MB", share, subject="free space", least=True)
 
     def close(self) -> None:
-        """End the thread; one that waits for a disk is left to it."""
+        """Stop the query thread without waiting for a disk that does not answer."""
         self._closing.set()
         if self._thread is not None:
             self._thread.join(self._poll_s)
@@ -850,20 +886,27 @@ class FreeSpace:
 
 
 LEAST_SPEED_SHARE = 0.99
-"""Of the planned speed; a controller that reports less executes other motions than planned."""
+"""Minimum ratio of executed to planned speed.
+
+A controller that reports a lower ratio executes different motions than the planned motions.
+"""
 
 
 def is_slowed(share: float) -> bool:
-    """Return whether motions are slower than planned; what is not known (NaN) is not."""
+    """Return whether motions are slower than planned, from a ratio of executed to planned speed.
+
+    An unknown ratio (NaN) counts as not slowed.
+    """
     return share < LEAST_SPEED_SHARE
 
 
 class SpeedScaling:
-    """Trips when the robot's controller scales the speed of motions down.
+    """Interlock that trips if the controller of the robot reduces the speed of the motions.
 
     Args:
-        share: Executed over planned speed, the lowest of the newest block; NaN when not known.
-        action: What a trip does.
+        share: Callback that returns the lowest ratio of executed to planned speed in the newest
+            block; NaN if unknown.
+        action: Reaction to a violation: `stop` or `pause`.
     """
 
     name = "speed_scaling"

@@ -1,10 +1,11 @@
-"""The live view: an observer that serves a run over the Foxglove WebSocket protocol.
+"""Live view: an observer that streams a run over the Foxglove WebSocket protocol.
 
-It only sends. Clients can neither publish nor call anything, and one that does not read loses the
-oldest messages of its own queue; nothing waits for it. Topics and schemas are those of the
-recording, so that one layout shows a run while it goes on and its MCAP file afterwards
-(`RobotTopics`). A screen takes fewer rows than a robot delivers, and a mock on a virtual clock
-delivers hundreds of blocks a second: `Decimation` selects what is shown.
+The live view only sends data to its clients. Clients of the live view can neither publish data nor
+call services. If a client does not read its messages, the oldest messages in the queue of the
+client are dropped, and the run never waits for a client. The live view has the same topics and
+schemas as the recording, so that one layout displays a run in progress and later its MCAP file
+(`RobotTopics`). A screen needs fewer rows than a robot delivers, and a mock robot on a virtual
+clock delivers hundreds of blocks per second: `Decimation` selects the rows to show.
 """
 
 from __future__ import annotations
@@ -46,13 +47,14 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 8765
-"""Where Foxglove and Lichtblick look by default."""
+"""Default TCP port to which the viewers Foxglove and Lichtblick connect."""
 
 PORTS_TRIED = 10
 CLOSE_WITHIN_S = 1.0
 
 STEPS_EVERY_S = 0.05
-"""On a virtual clock steps fly past; nobody reads a hundred a second [s]."""
+"""Minimum wall time between two displayed plan steps [s], because steps on a virtual clock are
+very short."""
 
 LAYOUT = Path(__file__).with_name("hil-layout.json")
 _IN_USE = re.compile(rf"os error ({errno.EADDRINUSE}|10048)\)")
@@ -72,12 +74,14 @@ PROGRESS_SCHEMA: dict[str, Any] = {
 
 
 class FoxgloveLive:
-    """Serves one run to any number of viewers while it is open; an observer of the engine.
+    """Observer of the engine that streams one run to any number of viewers.
 
     Args:
-        robot: Joint names, rate and units: `Robot.capabilities`.
-        host: Address to listen on. The protocol knows no passwords: whoever reaches it can watch.
-        port: TCP port, 0 for any; None for 8765 or, where that is taken, one of the next nine.
+        robot: Joint names, rate and units of the robot: `Robot.capabilities`.
+        host: Network address on which the server listens. The Foxglove protocol has no passwords:
+            everyone who can reach the address can watch the run.
+        port: TCP port; 0 for any free port; None for 8765 or, if port 8765 is in use, one of the
+            next nine ports.
     """
 
     wants_rows = True
@@ -89,7 +93,8 @@ class FoxgloveLive:
         self._host, self._port = host, port
         self._decimation = Decimation()
         self._standing = Standing()
-        # The server holds its context weakly: without this one it would advertise nothing.
+        # The server has only a weak reference to its context; this reference keeps the context
+        # alive.
         self._context: Context | None = None
         self._channels: dict[str, Channel] = {}
         self._server: WebSocketServer | None = None
@@ -97,23 +102,23 @@ class FoxgloveLive:
 
     @property
     def url(self) -> str:
-        """What to connect to; empty while it does not serve."""
+        """URL to which clients connect; empty while the server is not running."""
         if self._server is None:
             return ""
         host = self._host
-        with contextlib.suppress(ValueError):  # a name, not an address
+        with contextlib.suppress(ValueError):  # the host is a name, not an address
             address = ipaddress.ip_address(host)
-            if address.is_unspecified:  # "any address" is none that a viewer can connect to
+            if address.is_unspecified:  # a viewer cannot connect to the unspecified address
                 host = socket.gethostname()
             elif address.version == 6:
                 host = f"[{address}]"
         return f"ws://{host}:{self._server.port}"
 
     def start(self) -> None:
-        """Begin to serve. Idempotent.
+        """Start the server. Idempotent.
 
         Raises:
-            PluginError: `foxglove-sdk` is not installed, or nobody can listen there.
+            PluginError: `foxglove-sdk` is not installed, or the address cannot be used.
         """
         if self._server is not None:
             return
@@ -137,10 +142,13 @@ class FoxgloveLive:
         self._server = self._listen(sdk, context)
 
     def stop(self) -> None:
-        """Close every connection and the port, within a second. Idempotent.
+        """Close all client connections and the port within one second.
 
-        A client that is connected and does not read keeps the SDK waiting for it, perhaps for
-        ever: such a one is left behind, and goes with the process.
+        Idempotent.
+
+        The Foxglove SDK waits, possibly forever, for a connected client that does not read its
+        messages. The connection to a client that does not read is abandoned and ends with the
+        process.
         """
         server, self._server = self._server, None
         channels, self._channels = self._channels, {}
@@ -150,7 +158,8 @@ class FoxgloveLive:
 
         def close() -> None:
             server.stop()
-            # Not while clients are served: freeing a channel has blocked the whole process then.
+            # Only after the server has stopped, because freeing a channel while clients were served
+            # has blocked the whole process.
             channels.clear()
             contexts.clear()
 
@@ -170,7 +179,7 @@ class FoxgloveLive:
         self.stop()
 
     def notify(self, event: Event) -> None:
-        """Serve an event; see `hil.engine.Observer`."""
+        """Stream an event of the run to the viewers; see `hil.engine.Observer`."""
         kind = event.get("kind")
         if kind == "rows":
             if self._decimation.due():
@@ -199,7 +208,10 @@ class FoxgloveLive:
                     channel.log(message, log_time=at)
 
     def _watched(self, topic: str) -> Channel | None:
-        """Return the channel of a topic if it has a viewer: encoding for none costs time."""
+        """Return the channel of a topic, or None if no client views the topic.
+
+        Messages that no client views are not encoded, because encoding takes time.
+        """
         channel = self._channels.get(topic)
         return channel if channel is not None and channel.has_sinks() else None
 
@@ -226,8 +238,8 @@ def _refused(host: str, ports: list[int | None], refusal: RuntimeError) -> Plugi
     why = str(refusal).removeprefix("FoxgloveError: ")
     return PluginError(
         f"the live view cannot listen on {host}, port {tried}: {why}",
-        hint="another program has the port, perhaps another `hil run --live`: choose another "
-        "with --live-port, 0 for any"
+        hint="a different program uses the port, possibly another `hil run --live`: choose a "
+        "different port with --live-port (0: any free port)"
         if _IN_USE.search(str(refusal))
         else "give an address of this machine with --live-host",
     )
@@ -235,17 +247,17 @@ def _refused(host: str, ports: list[int | None], refusal: RuntimeError) -> Plugi
 
 @dataclass(frozen=True, slots=True)
 class RosSchema:
-    """A ROS 2 message definition, as viewers want it."""
+    """ROS 2 message definition of a topic in the text form that viewers need."""
 
     name: str
     text: str
 
 
 class RobotTopics:
-    """The topics of one robot: what they are called, and their messages.
+    """Topics of one robot: names, schemas and message encoding.
 
     Args:
-        robot: Joint names, rate and units.
+        robot: Joint names, rate and units of the robot.
     """
 
     def __init__(self, robot: Capabilities) -> None:
@@ -269,12 +281,12 @@ class RobotTopics:
 
     @property
     def row_topics(self) -> tuple[str, ...]:
-        """The topics that have a message for every row that is shown."""
+        """Names of the topics that have one message per displayed row."""
         return JOINT_STATE_TOPIC, self._state.name, self._tracking.name
 
     @property
     def schemas(self) -> dict[str, RosSchema]:
-        """Topic → schema, of everything that is CDR."""
+        """Schemas of all CDR topics by topic name."""
         own = (self._state, self._tracking)
         return {
             JOINT_STATE_TOPIC: RosSchema(JOINT_STATE_SCHEMA, JOINT_STATE_TEXT),
@@ -283,10 +295,11 @@ class RobotTopics:
         }
 
     def encode(self, topic: str, rows: StructArray) -> Iterator[bytes]:
-        """Return one message per state row.
+        """Return one encoded message of a topic per state row.
 
         Raises:
-            ValueError: The rows have another number of joints than the robot.
+            ValueError: The number of joints in the rows differs from the number of joints of the
+                robot.
         """
         if topic == JOINT_STATE_TOPIC:
             return (message.tobytes() for message in self._joints.encode(rows))
@@ -300,17 +313,17 @@ class RobotTopics:
 
 
 AT_ONCE = 12
-"""Rows shown of one block at most, so that a burst is no flood."""
+"""Maximum number of displayed rows per block, which limits bursts."""
 
 
 class Decimation:
-    """Lets at most `MAX_RATE_HZ` rows a second of *wall* time through, spread over what came in.
+    """Selection of at most `MAX_RATE_HZ` rows per second of *wall* time, evenly spread.
 
-    A mock on a virtual clock delivers hundreds of blocks a second: most are turned away by one
-    comparison.
+    A mock robot on a virtual clock delivers hundreds of blocks per second; one comparison rejects
+    most of these blocks.
 
     Args:
-        clock: Monotonic wall clock [s].
+        clock: Function that returns the monotonic wall time [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -319,15 +332,16 @@ class Decimation:
         self._allowed = 1.0
 
     def due(self) -> int:
-        """Return how many rows may be shown now."""
+        """Return the maximum number of rows that can be displayed now."""
         return min(AT_ONCE, int(self._allowed + (self._clock() - self._last) * MAX_RATE_HZ))
 
     def select(self, rows: StructArray) -> tuple[StructArray, FloatArray]:
-        """Select the rows to show, evenly spread and with the newest.
+        """Select the rows of a block to display, evenly spread and including the newest row.
 
         Returns:
-            Rows, and their age in wall time [s], shape (len(rows),): the time since the newest
-            row by the device clock, shrunk where that runs faster than the wall.
+            The selected rows, and the age of each row in wall time [s], shape (number of selected
+            rows,). The age of a row is the device time from this row to the newest row, scaled down
+            if the device clock runs faster than the wall clock.
         """
         n = min(self.due(), len(rows))
         if not n:
@@ -338,6 +352,7 @@ class Decimation:
         elapsed, self._last = now - self._last, now
         self._allowed = min(AT_ONCE, self._allowed + elapsed * MAX_RATE_HZ) - len(chosen)
         age = chosen["device_time"][-1] - chosen["device_time"]
-        # The oldest comes after the newest of the last time: no viewer's time runs backwards.
+        # The oldest row must be later than the newest row of the last call, so that time stamps
+        # never decrease.
         longest = elapsed * (1 - 1 / len(chosen))
         return chosen, age * min(1.0, longest / max(float(age[0]), 1e-9))

@@ -1,7 +1,8 @@
-"""Observers see what happens and cannot hurt what moves.
+"""Observers of a run; an observer that fails or is slow cannot affect the control thread.
 
-Each observer lives on its own thread behind a bounded queue. When it is slow the oldest event is
-dropped, when it raises it is switched off and the reason kept, and the control thread never waits.
+Each observer runs on a separate thread with a bounded queue. If an observer is slow, the oldest
+event in its queue is dropped. If an observer raises an exception, it is switched off and the
+exception is stored. The control thread never waits for an observer.
 """
 
 from __future__ import annotations
@@ -17,23 +18,23 @@ from hil.engine.standing import Event
 
 
 class Observer(Protocol):
-    """Something that follows a run: a progress line, a plot, a live view.
+    """Receiver of the events of a run, such as a progress line, a plot or a live view.
 
-    One that also has a true attribute `wants_rows` is given every block as an event of the kind
-    `rows`; it must not change the array. With `rows_every_s` it is given one block in that time,
-    and none of the others.
+    An observer with a true attribute `wants_rows` also receives every block of rows, as an event of
+    the kind `rows`; the observer must not change the array of rows. An observer with the attribute
+    `rows_every_s` receives only one block per `rows_every_s` seconds.
     """
 
     def notify(self, event: Event) -> None:
-        """Take an event; called on the observer's own thread, one event at a time."""
+        """Process an event; called on the thread of the observer for one event at a time."""
 
 
 DEPTH = 256
-"""Events that may wait for one observer."""
+"""Maximum number of queued events per observer."""
 
 
 class ObserverThread:
-    """Isolates one observer."""
+    """Thread and queue through which one observer receives events."""
 
     def __init__(self, observer: Observer) -> None:
         self._observer = observer
@@ -48,11 +49,14 @@ class ObserverThread:
 
     @property
     def has_room(self) -> bool:
-        """Whether it keeps up: blocks must not push events out of its queue that come only once."""
+        """Whether the event queue is less than half full.
+
+        If the queue were full, events that occur only a single time in a run would be lost.
+        """
         return self._events.qsize() < self._events.maxsize // 2
 
     def offer_rows(self, rows: StructArray) -> None:
-        """Hand over a block if it wants one now and keeps up."""
+        """Queue a block of rows if the observer wants one now and its queue has space."""
         if not (self.wants_rows and self.has_room):
             return
         if self._rows_every_s:
@@ -63,7 +67,7 @@ class ObserverThread:
         self.offer({"kind": "rows", "rows": rows})
 
     def offer(self, event: Event | None) -> None:
-        """Hand over an event without ever waiting."""
+        """Queue an event for the observer without waiting."""
         while True:
             try:
                 self._events.put_nowait(event)
@@ -75,7 +79,7 @@ class ObserverThread:
                 return
 
     def close(self, timeout_s: float = 1.0) -> None:
-        """Let it finish what is queued, but not for longer than `timeout_s`."""
+        """Wait at most `timeout_s` until all queued events are processed."""
         self.offer(None)
         self._thread.join(timeout_s)
 
@@ -84,37 +88,40 @@ class ObserverThread:
             if self.failure is None:
                 try:
                     self._observer.notify(event)
-                except Exception as error:  # an observer may fail in any way it likes
+                except Exception as error:  # an observer can raise any exception
                     self.failure = error
 
 
 class Observers:
-    """All observers of one run."""
+    """Group of all observers of one run."""
 
     def __init__(self, observers: tuple[Observer, ...] = ()) -> None:
         self._threads = [ObserverThread(observer) for observer in observers]
 
     def add(self, observer: Observer) -> None:
-        """Add an observer from now on; not while another thread publishes."""
+        """Add an observer for all later events.
+
+        The method must not be called while a different thread publishes an event.
+        """
         self._threads.append(ObserverThread(observer))
 
     def publish(self, event: Event) -> None:
-        """Offer an event to every observer."""
+        """Queue an event for every observer."""
         for thread in self._threads:
             thread.offer(event)
 
     def publish_rows(self, rows: StructArray) -> None:
-        """Offer a block to the observers that want blocks."""
+        """Queue a block of rows for the observers that want blocks."""
         for thread in self._threads:
             thread.offer_rows(rows)
 
     def close(self) -> list[str]:
-        """End all observers; return what went wrong with any of them."""
+        """Stop all observers; return descriptions of their problems."""
         for thread in self._threads:
             thread.close()
         return self.problems()
 
     def problems(self) -> list[str]:
-        """Return what has gone wrong with any of them so far."""
+        """Return descriptions of the problems of all observers so far."""
         failures = [f"observer failed: {t.failure!r}" for t in self._threads if t.failure]
         return failures + [f"observer lost {t.dropped} events" for t in self._threads if t.dropped]

@@ -1,13 +1,14 @@
-"""Preflight: every check before motion, all results at once.
+"""Preflight: all checks before the robot moves, with all results reported together.
 
-A check looks at one `Situation` (plan, robot, newest state row, context) and answers with a
-`CheckResult`. All checks run even if one fails, so that the operator sees everything that is wrong
-before going to the robot. A failure blocks the run unless the operator has waived it by name; the
-checks in `NEVER_WAIVED` find dangerous motions and cannot be waived. A check that breaks has
-failed: nothing that goes wrong here means "go".
+A check evaluates one `Situation` (plan, robot, newest state row and context) and returns a
+`CheckResult`. All checks run even if one check fails, so that the operator sees all problems before
+going to the robot. A failed check blocks the run unless the operator has waived the check by its
+name. The checks in `NEVER_WAIVED` detect dangerous motions and cannot be waived. A check that
+raises an exception counts as failed.
 
-The built-in checks stand below in the order in which they are reported; plug-ins of the group
-`hil.checks` follow them, and the checks that the robot makes of itself come last.
+The built-in checks are defined in this module in the order in which they are reported. Checks of
+plug-ins in the group `hil.checks` are reported after the built-in checks, and the checks that the
+robot performs itself are reported last.
 """
 
 from __future__ import annotations
@@ -34,26 +35,27 @@ from hil.robot import Finding, HasChecks, Robot, Status
 from hil.spec import StationRobot
 
 TO_BEGIN_BYTES = 2 * RESERVE_BYTES
-"""Of the disk, for a run to begin: its reserve, and as much for the documents before motion."""
+"""Free disk space needed to start a run [B]: the reserve of the run, and the same amount for the
+first documents."""
 
 OWN = "robot-"
-"""Begins the names of checks that the robot itself has made."""
+"""Prefix of the names of the checks that the robot performs itself."""
 
 Figure = float | str | None
 
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """The answer of one check.
+    """Result of one preflight check.
 
     Attributes:
-        name: Of the check, as in `waivers`.
-        passed: False when the robot should not move.
-        message: One sentence with the figures in it.
-        measured, limit: What was found and what would have been fine, in SI units.
-        hint: What to do about a failure.
-        waived: True when a failure was accepted by name before the run.
-        waivable: False when this failure may not be accepted, whoever says otherwise.
+        name: Name of the check, which is also used to waive the check.
+        passed: Whether the robot is allowed to move according to the check.
+        message: One sentence with the measured and allowed values.
+        measured, limit: Value measured by the check, and allowed value, both in SI units.
+        hint: Action that removes the cause of the failure.
+        waived: Whether the operator accepted the failure by name before the run.
+        waivable: Whether the failure can be waived at all.
     """
 
     name: str
@@ -67,11 +69,11 @@ class CheckResult:
 
     @property
     def blocks(self) -> bool:
-        """True when this result keeps the robot from moving."""
+        """Whether the result of the check prevents the robot from moving."""
         return not (self.passed or self.waived)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form."""
+        """Return the result of the check as JSON data."""
 
         def writable(figure: Figure) -> Figure:
             # JSON has no number for NaN and infinity.
@@ -91,15 +93,16 @@ class CheckResult:
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """What checks need to know beside plan and robot.
+    """Input of the preflight checks in addition to plan and robot.
 
     Attributes:
-        folder: Where the recording will be written; it exists.
-        collision: Returns the distances of the arm with the plan's loads; None without a model.
-        clearance_m: Distance that must be kept.
-        waivers: Names of checks whose failure is accepted.
-        now: Unix time of this host [s].
-        free_bytes: Free space of the file system a folder lies on.
+        folder: Existing folder into which the recording will be written.
+        collision: Callback that returns the distances of the arm with the loads of the plan; None
+            without a collision model of the arm.
+        clearance_m: Required clearance [m].
+        waivers: Names of the checks whose failure the operator accepts.
+        now: Callback that returns the Unix time of this host [s].
+        free_bytes: Callback that returns the free space of the file system of a folder [B].
     """
 
     folder: Path
@@ -112,7 +115,7 @@ class Context:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """What every check looks at: one plan, one robot, the robot's newest state row."""
+    """Input of every preflight check: plan, robot, newest state row of the robot, and context."""
 
     plan: Plan
     robot: Robot
@@ -121,19 +124,20 @@ class Situation:
 
 
 class Check(Protocol):
-    """A check, built in or registered under `hil.checks`; its name is what it is registered as.
+    """Preflight check, built in or registered under `hil.checks`; its name is the registered name.
 
-    It may read the robot but must not move it. What it raises counts as a failure.
+    A check can read the robot but must not move it. An exception raised by a check counts as a
+    failure.
     """
 
     def __call__(self, situation: Situation) -> CheckResult:
-        """Look and answer; never raises for a mere failure."""
+        """Return the result of the check; a failed check raises no exception."""
 
 
 def preflight_context(
     station_robot: StationRobot, folder: Path, *, waivers: Sequence[str] = ()
 ) -> Context:
-    """Return the context of a run of `station_robot` whose recording goes to `folder`."""
+    """Return the context of a run of `station_robot` whose recording is written to `folder`."""
     surroundings = station_robot.surroundings
 
     def collision(plan: Plan) -> Clearance:
@@ -149,44 +153,46 @@ def preflight_context(
 
 
 def require_room_to_begin(runs: Path) -> None:
-    """Raise if the disk has no room for what a run begins with: reserve and documents.
+    """Raise if the disk has too little space for the reserve and the first documents of a run.
 
-    For before the run has a directory; the recording's own size is checked with everything else.
+    This function is called before the run directory exists. A later preflight check evaluates the
+    disk space for the recording itself.
 
     Args:
-        runs: The folder of runs; it need not exist yet.
+        runs: Folder of all runs, which possibly does not exist yet.
 
     Raises:
-        PreflightFailed: There is too little.
+        PreflightFailed: The disk has too little free space.
     """
     there = next(folder for folder in (runs, *runs.absolute().parents) if folder.is_dir())
     try:
         free = shutil.disk_usage(there).free
     except OSError:
-        return  # whatever is wrong: making the directory says it
+        return  # creating the directory reports the same problem
     if free < TO_BEGIN_BYTES:
         raise PreflightFailed(
             f"disk: {free / 1e6:.1f} MB are free, but a run needs {TO_BEGIN_BYTES / 1e6:.1f} MB to "
             "begin",
-            hint=f"make room on the disk of {there}, or record elsewhere: --runs",
+            hint=f"free space on the disk of {there}, or record to a different disk: --runs DIR",
         )
 
 
 def require_waivable(waivers: Collection[str]) -> None:
-    """Refuse waivers of checks that do not exist or are never waived.
+    """Raise if a waiver names a check that does not exist or that cannot be waived.
 
     Raises:
-        SpecError: With every one of them.
+        SpecError: At least one waiver does not name a check that can be waived.
     """
     if refused := sorted(NEVER_WAIVED.intersection(waivers)):
         raise SpecError(
-            f"the check {refused[0]!r} cannot be waived", hint="mend what it complains about"
+            f"the check {refused[0]!r} cannot be waived",
+            hint="correct the problem that the check reports",
         )
     names = _names()
     unknown = [waiver for waiver in waivers if waiver not in names]
     if unknown:
         raise SpecError(
-            "\n".join(f"the waiver {waiver!r} names no check" for waiver in unknown),
+            "\n".join(f"the waiver {waiver!r} is not the name of a check" for waiver in unknown),
             hint=did_you_mean(unknown[0], names),
         )
 
@@ -197,16 +203,18 @@ def require_preflight(
     context: Context,
     keep: Callable[[str, dict[str, Any]], object] | None = None,
 ) -> list[CheckResult]:
-    """Run `preflight` and raise if something blocks.
+    """Run all preflight checks and raise if a result blocks the run.
 
     Args:
-        plan: What is about to be executed.
-        robot: Connected.
-        context: Folder, collision model and waivers.
-        keep: Called as `keep("preflight.json", document)` with all results before any error.
+        plan: Plan that will be executed.
+        robot: Connected robot.
+        context: Folder of the recording, collision model and waivers.
+        keep: Callback `keep("preflight.json", document)` that stores the results of all checks
+            before an error is raised.
 
     Raises:
-        PreflightFailed: At least one check failed and was not waived; all are in the message.
+        PreflightFailed: At least one check failed without a waiver; the message lists all such
+            checks.
     """
     results = preflight(plan, robot, context)
     blocking = [result for result in results if result.blocks]
@@ -225,19 +233,21 @@ def require_preflight(
 
 
 def preflight(plan: Plan, robot: Robot, context: Context) -> list[CheckResult]:
-    """Run every check, built in, plugged in and the robot's own; the robot does not move.
+    """Run the built-in checks, plug-in checks and checks of the robot; the robot does not move.
 
     Args:
-        plan: What is about to be executed.
-        robot: Connected; one block of its state is read, and the first load is declared to it.
-        context: Folder, collision model and waivers.
+        plan: Plan that will be executed.
+        robot: Connected robot; one block of its state is read, and the first load of the plan is
+            declared to the robot.
+        context: Folder of the recording, collision model and waivers.
 
     Returns:
-        One result per check, failed ones that `context.waivers` names and may marked as waived.
+        One result per check, in the order of the report. A failed check is marked as waived if
+        `context.waivers` contains its name and the check can be waived.
 
     Raises:
-        SpecError: A waiver names a check that does not exist or cannot be waived.
-        RobotError: The robot's state cannot be read.
+        SpecError: A waiver names a check that does not exist or that cannot be waived.
+        RobotError: The state of the robot cannot be read.
     """
     names = _names()
     require_waivable(context.waivers)
@@ -247,7 +257,7 @@ def preflight(plan: Plan, robot: Robot, context: Context) -> list[CheckResult]:
         result = _run(name, situation)
         waived = not result.passed and name in context.waivers and result.waivable
         results.append(replace(result, waived=waived))
-    # Last: a load has been declared by then, which the robot may have read back.
+    # The checks of the robot run last, because they can use the declared load.
     return [*results, *own_checks(robot)]
 
 
@@ -256,28 +266,31 @@ def _names() -> list[str]:
 
 
 def _run(name: str, situation: Situation) -> CheckResult:
-    """Return one check's result under its registered name; a check that breaks has failed."""
+    """Return the result of one check under its registered name.
+
+    An exception raised by the check counts as a failure.
+    """
     try:
         check: Check = BUILT_IN.get(name) or plugins.load("hil.checks", name)
         return replace(check(situation), name=name)
     except HilError as error:
         return CheckResult(name, False, error.message, hint=error.hint)
-    except Exception as error:  # a plug-in may raise anything, and none of it means "go"
+    except Exception as error:  # a plug-in can raise any exception, which counts as a failure
         reason = f"{type(error).__name__}: {error}"
-        hint = "mend or uninstall the check, or waive it by name"
-        return CheckResult(name, False, f"the check itself broke: {reason}", hint=hint)
+        hint = "repair or uninstall the check, or waive it by name"
+        return CheckResult(name, False, f"the check raised {reason}", hint=hint)
 
 
 def own_checks(robot: Robot) -> list[CheckResult]:
-    """Return what a robot that opts into `hil.robot.HasChecks` has found out about itself."""
+    """Return the results of the checks of a robot that implements `hil.robot.HasChecks`."""
     if not isinstance(robot, HasChecks):
         return []
     try:
         findings = list(robot.checks())
     except HilError as error:
         findings = [Finding("checks", False, error.message, hint=error.hint)]
-    except Exception as error:  # a driver may raise anything, and none of it means "go"
-        reason = f"the robot's own checks broke: {type(error).__name__}: {error}"
+    except Exception as error:  # a driver can raise any exception, which counts as a failure
+        reason = f"the robot's own checks raised {type(error).__name__}: {error}"
         findings = [Finding("checks", False, reason, hint="this is a bug in the driver")]
     return [
         CheckResult(f"{OWN}{each.name}", each.passed, each.message, each.measured, each.limit,
@@ -286,11 +299,11 @@ def own_checks(robot: Robot) -> list[CheckResult]:
     ]  # fmt: skip
 
 
-# The built-in checks.
+# Built-in checks.
 
 
 def _identity(situation: Situation) -> CheckResult:
-    """The robot is the arm the plan was made for, joints in the same order."""
+    """Check that the robot model matches the plan and that the joint order is the same."""
     plan, robot = situation.plan, situation.robot
     model, joints = robot.identity.model, robot.capabilities.joint_names
     differs = {model, plan.robot_model} <= set(arm_names()) and model != plan.robot_model
@@ -305,7 +318,7 @@ def _identity(situation: Situation) -> CheckResult:
 
 
 def _fault(situation: Situation) -> CheckResult:
-    """The controller reports no fault."""
+    """Check that the controller reports no fault."""
     state = situation.state
     code, faulty = int(state["fault_code"]), bool(int(state["status"]) & Status.FAULT)
     return CheckResult(
@@ -314,7 +327,7 @@ def _fault(situation: Situation) -> CheckResult:
         f"the controller reports fault code {code}, fault bit {'set' if faulty else 'clear'}",
         measured=float(code),
         limit=0.0,
-        hint="see the fault at the controller, remove its cause and acknowledge it there",
+        hint="read the fault on the controller, remove its cause and acknowledge it there",
     )
 
 
@@ -322,7 +335,7 @@ REST_RAD_S = 0.02
 
 
 def _rest(situation: Situation) -> CheckResult:
-    """The arm does not move."""
+    """Check that the arm does not move before the run."""
     speed = float(np.abs(situation.state["qd"]).max())
     return CheckResult(
         "rest",
@@ -330,7 +343,7 @@ def _rest(situation: Situation) -> CheckResult:
         f"the fastest joint moves at {speed:.4f} rad/s",
         measured=speed,
         limit=REST_RAD_S,
-        hint="wait until the arm has come to rest; nothing else may command it",
+        hint="wait for standstill of the arm; no other program may command it",
     )
 
 
@@ -338,28 +351,31 @@ POSE_TOLERANCE_RAD = 0.01
 
 
 def _pose(situation: Situation) -> CheckResult:
-    """The arm stands where the plan starts, else its first motion would jump."""
+    """Check that the arm is at the start pose of the plan.
+
+    From any other pose, the first motion would start with a jump of the set-point.
+    """
     off = np.abs(situation.state["q"] - situation.plan.q_start)
     joint = situation.plan.joint_names[int(off.argmax())]
     return CheckResult(
         "pose",
         bool(off.max() <= POSE_TOLERANCE_RAD),
-        f"{joint} is {off.max():.4f} rad from where the plan starts",
+        f"{joint} is {off.max():.4f} rad away from the start of the plan",
         measured=float(off.max()),
         limit=POSE_TOLERANCE_RAD,
-        hint="the robot was moved since the plan was made: plan again from here",
+        hint="the robot was moved after planning: plan again from this pose",
     )
 
 
 def _first_move(situation: Situation) -> CheckResult:
-    """The first motion is clear, from where the arm stands now."""
+    """Check that the first motion is collision-free from the present pose of the arm."""
     context, first = situation.context, situation.plan.motions[0]
     if context.collision is None:
         return CheckResult(
             "first-move",
             False,
-            "nobody knows whether the first motion is clear: this robot has no collision model",
-            hint="bring the arm to a clear pose by hand (teach pendant) and plan again",
+            "the first motion cannot be checked: this robot has no collision model",
+            hint="move the arm to a clear pose with the teach pendant and plan again",
         )
     path = first.sample(situation.plan.rate_hz).q
     everything = np.vstack([situation.state["q"], first.q_start, path])
@@ -367,10 +383,10 @@ def _first_move(situation: Situation) -> CheckResult:
     return CheckResult(
         "first-move",
         distance >= context.clearance_m,
-        f"the first motion keeps {1e3 * distance:.1f} mm from everything",
+        f"the first motion has a clearance of {1e3 * distance:.1f} mm",
         measured=distance,
         limit=context.clearance_m,
-        hint="jog the robot to a pose with more room around it and plan again",
+        hint="jog the robot to a pose with more clearance and plan again",
     )
 
 
@@ -378,7 +394,7 @@ LIMIT_TOLERANCE = 1e-9
 
 
 def _limits(situation: Situation) -> CheckResult:
-    """No set-point is beyond what the controller itself reports as its limits."""
+    """Check that no set-point exceeds the limits that the controller reports."""
     goes, allowed = situation.plan.extremes, situation.robot.limits
     margins = {
         "position [rad]": np.minimum(goes.q_min - allowed.q_min, allowed.q_max - goes.q_max),
@@ -397,36 +413,41 @@ def _limits(situation: Situation) -> CheckResult:
         f"smallest distance to the robot's limits: {each}",
         measured=f"{what} {worst.min():.4g}",
         limit=0.0,
-        hint="plan again with lower excitation limits, or see the controller's safety settings",
+        hint="plan again with lower excitation limits, or check the controller's safety settings",
     )
 
 
 NO_GUESSES = ("q_limits", "q_min", "q_max", "qd_max", "qdd_max", "capsule")
-"""Begin the words for what every plan and interlock rests on: no waiver is for guesses of them."""
+"""Prefixes of the names of guessed values that cannot be waived, because every plan and
+interlock uses these values."""
 
 
 def _guessed(situation: Situation) -> CheckResult:
-    """Nothing about the arm is guessed, unless no real arm is moved: plans go up to its limits."""
+    """Check that no value of the arm description is guessed, unless the robot is a mock.
+
+    Plans use the full range up to the limits in the arm description.
+    """
     model, robot = situation.plan.robot_model, situation.robot
     guesses = load_arm(model).guessed if is_described(model) else ()
     kept = [word for word in guesses if word.casefold().startswith(NO_GUESSES)]
     words = ", ".join(guesses)
-    never = f"; a waiver is not for {', '.join(kept)}" if kept else ""
+    never = f"; {', '.join(kept)} cannot be waived" if kept else ""
     mocked = robot.capabilities.clock == "virtual" or robot.identity.driver == "mock"
-    message = f"the description of the arm is guessed in {words}" if words else "nothing is guessed"
+    message = f"guessed values of the arm: {words}" if words else "no value of the arm is guessed"
     return CheckResult(
         "guessed",
         mocked or not words,
-        message + (", which moves a mock alone" if words and mocked else ""),
+        message + ("; allowed, because only a mock moves" if words and mocked else ""),
         measured=words,
         limit="",
-        hint=f"put in what the maker says, and take it out of `guessed` in {model}{never}",
+        hint="enter the values of the manufacturer, and remove their names from `guessed` in "
+        f"{model}{never}",
         waivable=not kept,
     )
 
 
 def _load(situation: Situation) -> CheckResult:
-    """The heaviest load is within the robot's rated payload."""
+    """Check that the heaviest load does not exceed the rated payload of the robot."""
     heaviest = max(entry.payload.mass for entry in situation.plan.loads)
     rated = situation.robot.limits.payload_max_kg
     return CheckResult(
@@ -440,16 +461,16 @@ def _load(situation: Situation) -> CheckResult:
 
 
 def _payload(situation: Situation) -> CheckResult:
-    """The controller takes the load the plan begins with and reads the same back.
+    """Check that the controller accepts the first load of the plan and reports equal values.
 
-    A load that the operator is yet to mount is declared when it is mounted, not before: a
-    controller that compensates for a load that is not there lifts the arm.
+    A load that the operator mounts during the run is declared after mounting, not in preflight: a
+    controller that compensates for a load that is not mounted yet would lift the arm.
     """
-    # A resumed plan may begin with another load than the first.
+    # A resumed plan can begin with a different load than the first.
     begins = next((step.load for step in situation.plan if step.kind == "payload"), 0)
     first = situation.plan.loads[begins]
     if first.prompt:
-        return CheckResult("payload", True, "declared and read back once the load is mounted")
+        return CheckResult("payload", True, "declared and read back after the load is mounted")
     back = situation.robot.set_payload(first.payload)
     return CheckResult(
         "payload",
@@ -462,18 +483,19 @@ def _payload(situation: Situation) -> CheckResult:
 
 
 def _weighing(situation: Situation) -> CheckResult:
-    """Whether loads are going to be weighed; always passes, the result is judged in the run.
+    """Return a passed check that reports whether the run will check the payloads.
 
-    A waiver of this name is for that judgement (`hil.workflow`).
+    The payloads themselves are evaluated during the run. A waiver of this check applies to the
+    evaluation of the payloads during the run (`hil.workflow`).
     """
     reason = why_plan_not_weighed(situation.plan, situation.robot.capabilities)
     poses = len({step.pose for step in situation.plan if step.kind == "weigh"})
-    planned = f"each load is weighed at {poses} {'pose' if poses == 1 else 'poses'} first"
-    return CheckResult("weighing", True, f"no load is weighed: {reason}" if reason else planned)
+    planned = f"payload check of each load at {poses} {'pose' if poses == 1 else 'poses'} first"
+    return CheckResult("weighing", True, f"no payload check: {reason}" if reason else planned)
 
 
 def _rate(situation: Situation) -> CheckResult:
-    """Set-points are sampled at the rate the robot takes them."""
+    """Check that the set-points of the plan are sampled at the sampling rate of the robot."""
     plan_hz, robot_hz = situation.plan.rate_hz, situation.robot.capabilities.rate_hz
     return CheckResult(
         "rate",
@@ -489,7 +511,7 @@ TEMPERATURE_RANGE_C = (-10.0, 80.0)
 
 
 def _temperature(situation: Situation) -> CheckResult:
-    """Joint temperatures are believable; a robot that reports none passes."""
+    """Check that joint temperatures, if the robot reports any, are plausible."""
     known = situation.state["temperature"][np.isfinite(situation.state["temperature"])]
     if not len(known):
         return CheckResult("temperature", True, "the robot reports no joint temperatures")
@@ -501,17 +523,18 @@ def _temperature(situation: Situation) -> CheckResult:
         f"joint temperatures are {known.min():.1f} to {known.max():.1f} °C",
         measured=worst,
         limit=high if worst > low else low,
-        hint="let the arm cool down or warm up, or see whether a sensor is broken",
+        hint="let the arm cool down or warm up, or check the temperature sensors",
     )
 
 
 CLOCK_TOLERANCE_S = 5.0
 EARLIEST = datetime(2024, 1, 1, tzinfo=UTC).timestamp()
-"""A host that believes to live before this has lost its clock's battery."""
+"""Unix time before which a host clock counts as invalid [s], for example after a failure of the
+clock battery."""
 
 
 def _clock(situation: Situation) -> CheckResult:
-    """The host knows the time, and the robot's samples are stamped with it."""
+    """Check that the host time is plausible and agrees with the sample time stamps."""
     now, stamped = situation.context.now(), float(situation.state["host_time"])
     virtual = situation.robot.capabilities.clock == "virtual"
     off = 0.0 if virtual else abs(now - stamped)
@@ -522,26 +545,26 @@ def _clock(situation: Situation) -> CheckResult:
         + ("" if virtual else f", the newest sample is stamped {off:.1f} s off"),
         measured=off,
         limit=CLOCK_TOLERANCE_S,
-        hint="set the clock of this host (timedatectl) and see whether samples still arrive",
+        hint="set the clock of this host (timedatectl) and check that samples arrive",
     )
 
 
 def _disk(situation: Situation) -> CheckResult:
-    """There is twice the space that the recording is expected to take."""
+    """Check that the free disk space is at least twice the expected size of the recording."""
     free = situation.context.free_bytes(situation.context.folder)
     needed = 2 * recording_bytes(situation.plan)
     return CheckResult(
         "disk",
         free >= needed,
-        f"{free / 1e6:.0f} MB are free, twice the recording is {needed / 1e6:.0f} MB",
+        f"{free / 1e6:.0f} MB are free; twice the recording needs {needed / 1e6:.0f} MB",
         measured=float(free),
         limit=float(needed),
-        hint=f"make room on the disk of {situation.context.folder}, or record elsewhere: --runs",
+        hint=f"free space on the disk of {situation.context.folder}, or choose another: --runs DIR",
     )
 
 
 def _folder(situation: Situation) -> CheckResult:
-    """A file can be written where the recording goes."""
+    """Check that the folder for the recording is writable."""
     where = situation.context.folder
     try:
         with tempfile.TemporaryFile(dir=where) as file:
@@ -552,7 +575,7 @@ def _folder(situation: Situation) -> CheckResult:
             "folder",
             False,
             f"{where} cannot be written to: {error.strerror or error}",
-            hint="choose another folder: --runs",
+            hint="choose a different folder: --runs DIR",
         )
     return CheckResult("folder", True, f"{where} can be written to")
 
@@ -574,7 +597,8 @@ BUILT_IN: dict[str, Check] = {
     "disk": _disk,
     "folder": _folder,
 }
-"""In the order in which they are run and reported."""
+"""Built-in checks in the order in which they run and are reported."""
 
 NEVER_WAIVED = frozenset({"identity", "fault", "rest", "pose", "first-move", "limits"})
-"""Checks whose failure means that motion would be dangerous whoever says otherwise."""
+"""Names of checks that cannot be waived, because motion after the failure of such a check would
+be dangerous."""

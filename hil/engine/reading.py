@@ -1,12 +1,14 @@
-"""Reading the robot: every block is recorded first and judged second.
+"""Reading of the robot state: every block of rows is recorded first and checked second.
 
-`Reading.block` is how the control thread sees the robot while a run goes on. What it returns has
-been recorded, is fresh (`Freshness`), carries no fault and violates no interlock (`Judge`);
-anything else is raised from there, and the engine ends the run. An interlock that stops has
-stopped the robot already when its trip is raised.
+The control thread calls `Reading.block` to read the robot during a run. A block returned by
+`Reading.block` has been recorded, is fresh (`Freshness`), contains no fault and violates no
+interlock with the action `stop` (`Judge`). If a block does not meet these conditions,
+`Reading.block` raises an error, and the engine ends the run. If an interlock with the action `stop`
+trips, the robot is stopped before the error is raised.
 
-On the way out the engine calls `Reading.to_rest` instead: it records and watches, and judges only
-whether the arm still moves, for nothing may keep it from seeing a stopped arm come to rest.
+While the run ends, the engine calls `Reading.to_rest` instead of `Reading.block`. `Reading.to_rest`
+records the state and checks only whether the arm still moves, so that no interlock can interrupt
+the monitoring of the stopping arm.
 """
 
 from __future__ import annotations
@@ -33,49 +35,56 @@ from hil.engine.interlocks import STALE_AFTER_S, Interlock, Trip, is_slowed
 from hil.robot import HasSpeedScaling, HasTopics, Robot, Status
 
 AT_REST_RAD_S = 0.01
-"""All joints slower than this, and no motion commanded, is at rest."""
+"""Joint speed below which an arm without a commanded motion counts as static [rad/s]."""
 
 STOP_WITHIN_S = 2.0
-"""A driver whose `stop` takes longer hangs; the contract allows 0.1 s."""
+"""Time limit of the method `stop` of a driver [s], after which the driver counts as hanging.
+
+The contract allows 0.1 s.
+"""
 
 REST_WITHIN_S = 5.0
-"""An arm that still moves this long after it was stopped is reported as not at rest [s]."""
+"""Time after a stop command at which an arm that still moves is reported as not static [s]."""
 
 NEWS_SHARE = 0.05
-"""A speed scaling that has changed by so much more is another event of the log."""
+"""Minimum change of the speed scaling that is logged as a new event."""
 
 
 def stop_robot(robot: Robot) -> None:
-    """Stop a robot; safe from any thread.
+    """Stop a robot; can be called from any thread.
 
     Raises:
-        HilError: The driver says why it cannot, or its `stop` does not return (`RobotTimeout`).
+        HilError: The driver reports an error, or the method `stop` of the driver does not return
+            (`RobotTimeout`).
     """
     bounded(robot.stop, STOP_WITHIN_S, "stopping the robot")
 
 
 class Sink(Protocol):
-    """Where samples and events go: the recorder, or a list in tests."""
+    """Receiver of samples and events: a recorder, or a list in tests."""
 
     def put(self, rows: StructArray) -> None:
-        """Take over a block of the base record; raises `RecordingError` when it cannot be kept."""
+        """Store a block of rows of the base record.
+
+        Raises `RecordingError` if the block cannot be stored.
+        """
 
     def put_topic(self, topic: str, rows: StructArray) -> None:
-        """Take over rows of one of the robot's further topics (`hil.robot.HasTopics`)."""
+        """Store rows of a further topic of the robot (`hil.robot.HasTopics`)."""
 
     def event(self, kind: str, **details: Any) -> None:
-        """Take over one event."""
+        """Store one event."""
 
 
 @dataclass(slots=True)
 class Progress:
-    """What has been read and done.
+    """Counters of read samples and completed steps.
 
     Attributes:
-        samples: Rows of the base record.
+        samples: Number of rows of the base record that were read.
         first, last: Device time of the first and the newest row [s].
-        unsettled: Steps whose dwell ran into its time-out.
-        steps_done: Plan steps executed to their end.
+        unsettled: Indices of the plan steps whose dwell ended by its time-out.
+        steps_done: Number of plan steps that were completed.
     """
 
     samples: int = 0
@@ -85,7 +94,7 @@ class Progress:
     steps_done: int = 0
 
     def count(self, block: StructArray) -> None:
-        """Add a block."""
+        """Add the rows of a block to the counters."""
         if self.samples == 0:
             self.first = float(block["device_time"][0])
         self.samples += len(block)
@@ -93,23 +102,25 @@ class Progress:
 
 
 class Reading:
-    """Reads one robot for one run.
+    """Reader of the state of one robot for one run.
 
     Args:
-        robot: Connected.
-        sink: Receives everything.
-        interlocks: Judged on every sample.
-        joint_names: For messages.
-        obey_stop: Called before every block; raises if a stop was requested.
-        hold: Called with every trip of an interlock that only pauses the run.
-        on_block: Called with every block after it was recorded and judged.
-        stale_after_s: How long the state may stand still [s]; None for the default.
+        robot: Connected robot.
+        sink: Receiver of all samples and events.
+        interlocks: Interlocks that are checked on every sample.
+        joint_names: Names of the joints, used in messages.
+        obey_stop: Callback that raises an error if a stop was requested; called before every block.
+        hold: Callback that receives every violation of an interlock with the action `pause`.
+        on_block: Callback that receives every block of rows after the block was recorded and
+            checked.
+        stale_after_s: Maximum time without a new robot state [s]; None for the default of the
+            interlock `stale`.
 
     Attributes:
-        judge: Asks the interlocks.
-        wall: Whether the robot lives in wall time.
-        progress: What has been read and done so far.
-        newest: The newest row of the run; None before the first.
+        judge: Object that calls the interlocks.
+        wall: Whether the robot uses a wall clock instead of a virtual clock.
+        progress: Counters of samples and steps.
+        newest: Newest state row of the run; None before the first row.
     """
 
     def __init__(
@@ -142,17 +153,18 @@ class Reading:
         self.newest: np.void | None = None
 
     def block(self) -> StructArray:
-        """Return the next block, recorded and judged.
+        """Return the next block of state rows after recording and checking the block.
 
         Raises:
             Stopped: A stop was requested.
             RobotError: The robot reports a fault.
-            InterlockTripped: A sample violates an interlock, or none is new for too long.
-            RecordingError: The sink cannot keep the data.
+            InterlockTripped: A sample violates an interlock, or no new sample has arrived for too
+                long.
+            RecordingError: The sink cannot store the samples.
         """
         self._obey_stop()
         if self._topics is not None and not self.progress.samples:
-            self._topics.drain()  # belongs to what was read before the run
+            self._topics.drain()  # discards rows read before the run
         block = self._robot.read()
         self._mark_speed(block)
         self._keep(block)
@@ -165,7 +177,7 @@ class Reading:
             if interlock.action == "pause":
                 self._hold(trip)
                 continue
-            # At once; the engine stops it again on the way out and says if that does not work.
+            # Stop immediately; the engine stops the robot again later and reports a failure.
             with contextlib.suppress(Exception):
                 stop_robot(self._robot)
             raise trip.error(self._joint_names)
@@ -173,12 +185,12 @@ class Reading:
         return block
 
     def to_rest(self) -> str:
-        """Record a stopped robot until it is at rest; return what is wrong, or nothing."""
+        """Record a stopped robot until it is static; return the problem, or an empty text."""
         deadline = self.deadline(REST_WITHIN_S)
         try:
             while True:
                 block = self._robot.read()
-                # A recorder that is dead or behind does not keep us from watching the arm.
+                # A failed or slow recorder must not prevent the monitoring of the arm.
                 with contextlib.suppress(RecordingError):
                     self._mark_speed(block)
                     self._keep(block)
@@ -191,31 +203,35 @@ class Reading:
                 if deadline.over(self.progress.last):
                     return f"the arm was not at rest {REST_WITHIN_S:g} s after it was stopped"
         except HilError as error:
-            return f"nobody saw the arm come to rest: {error.message}"
+            return f"standstill of the arm was not confirmed: {error.message}"
 
     def deadline(self, seconds: float) -> Deadline:
-        """Return a time-out that begins now."""
+        """Return a time-out object that starts now."""
         return Deadline(seconds, self.progress.last, wall=self.wall)
 
     def begin_leg(self) -> None:
-        """Begin a leg: it counts as slowed from its start if the speed is lowered now."""
+        """Start a leg, which is the part of the plan from one checkpoint to the next.
+
+        A leg counts as slowed from its start if the controller speed is already reduced at the
+        start.
+        """
         self._leg_slowed = is_slowed(self._scaling)
 
     @property
     def speed_share(self) -> float:
-        """Share of the planned speed at which the robot's controller moves now, 0 to 1."""
+        """Present ratio of executed to planned speed, reported by the robot controller, 0 to 1."""
         return self._scaling if is_slowed(self._scaling) else 1.0
 
     @property
     def slowed(self) -> str:
-        """The speed to which the robot's controller scales motions now; empty if as planned."""
+        """Message about a reduced speed of the controller; empty if the robot moves as planned."""
         if not is_slowed(self._scaling):
             return ""
         return f"the robot's speed scaling (speed slider) is at {self._scaling:.0%}"
 
     @property
     def notes(self) -> list[str]:
-        """Notes on the data for the operator, beside the cause of the end."""
+        """Notes for the operator on the recorded data."""
         if not self._slowed_at:
             return []
         times = f"{len(self._slowed_at)} times, first" if len(self._slowed_at) > 1 else "once,"
@@ -226,7 +242,7 @@ class Reading:
         ]
 
     def _mark_speed(self, block: StructArray) -> None:
-        """Mark all of a measurement during which the controller moved slower than planned."""
+        """Set the bit `SLOWED` in the rows of a leg with reduced controller speed."""
         if self._scaled is None:
             return
         before, now = self._scaling, self._scaled.speed_scaling
@@ -255,7 +271,11 @@ class Reading:
                 self._sink.put_topic(topic, rows)
 
     def _fault(self, block: StructArray) -> HilError:
-        """Return the driver's own words if the next read brings them, else the code."""
+        """Return the error that ends the run for a block with a fault.
+
+        The returned error is the error that the driver raises at the next read; if the driver
+        raises no error, the returned error contains the fault code.
+        """
         try:
             self._robot.read()
         except HilError as error:
@@ -269,16 +289,17 @@ class Reading:
 
 
 SLOW_S = 0.25
-"""An interlock that takes longer for a block keeps the robot waiting [s]."""
+"""Time that an interlock needs for one block above which the interlock is reported as slow [s],
+because the robot has to wait."""
 
 _T = TypeVar("_T")
 
 
 class Judge:
-    """Asks every interlock about a block; one that raises, hangs or dawdles is called by its name.
+    """Caller of all interlocks for a block of rows; names each interlock that fails or is slow.
 
     Args:
-        interlocks: In the order in which they are asked.
+        interlocks: Interlocks in the order in which they are called.
         now: Monotonic clock [s].
     """
 
@@ -288,44 +309,48 @@ class Judge:
         self._interlocks = tuple(interlocks)
         self._now = now
         self._asking: Interlock | None = None
-        # The first block is judged before anything moves: there an interlock may take its time.
+        # The first block is checked before any motion, so slow checks are acceptable there.
         self._armed = False
         self._slow: dict[str, float] = {}
 
     def violations(self, block: StructArray) -> Iterator[tuple[Interlock, Trip]]:
-        """Yield the interlocks that a block violates, each as soon as it has answered.
+        """Yield the interlocks that a block violates, each immediately after its check.
 
         Raises:
-            InterlockTripped: An interlock raises, or returns no trip: it cannot judge.
+            InterlockTripped: An interlock raises an exception or returns an invalid value.
         """
         for interlock in self._interlocks:
-            trip = self._asked(interlock, interlock.check, block)
+            trip = self._call(interlock, interlock.check, block)
             if trip is not None and not isinstance(trip, Trip):
-                raise _cannot(interlock, f"check returned {trip!r}, which is no Trip")
+                raise _interlock_failure(interlock, f"check returned {trip!r}, which is not a Trip")
             if trip is not None:
                 yield interlock, trip
         self._armed = True
 
     def clear(self, block: StructArray) -> bool:
-        """Return whether no interlock that pauses is anywhere near its limit in a block."""
+        """Return whether a block is well within the limits of all pausing interlocks."""
         pausing = (i for i in self._interlocks if i.action == "pause")
-        return all(self._asked(interlock, interlock.clear, block) for interlock in pausing)
+        return all(self._call(interlock, interlock.clear, block) for interlock in pausing)
 
     @property
     def hanging(self) -> InterlockTripped | None:
-        """The interlock that is being asked at this moment, as the error of one that hangs."""
+        """Error that names the interlock being checked now, or None if there is none."""
         asking = self._asking
-        return _cannot(asking, "it did not return for seconds") if asking else None
+        return (
+            _interlock_failure(asking, "its check did not return for several seconds")
+            if asking
+            else None
+        )
 
     @property
     def notes(self) -> list[str]:
-        """Interlocks that kept the robot waiting, in words."""
+        """Messages about slow interlocks, for which the robot had to wait."""
         return [
-            f"interlock {name} took up to {seconds:.2g} s for one block: it must not wait"
+            f"interlock {name} took up to {seconds:.2g} s for one block: its check must not wait"
             for name, seconds in self._slow.items()
         ]
 
-    def _asked(
+    def _call(
         self, interlock: Interlock, ask: Callable[[StructArray], _T], block: StructArray
     ) -> _T:
         self._asking, begin = interlock, self._now()
@@ -333,16 +358,23 @@ class Judge:
             return ask(block)
         except HilError:
             raise
-        except Exception as error:  # a plug-in may raise anything
-            raise _cannot(interlock, f"{type(error).__name__}: {error}", error) from error
+        except Exception as error:  # a plug-in can raise any exception
+            raise _interlock_failure(
+                interlock, f"{type(error).__name__}: {error}", error
+            ) from error
         finally:
             self._asking, took = None, self._now() - begin
             if took > SLOW_S and self._armed:
                 self._slow[interlock.name] = max(took, self._slow.get(interlock.name, 0.0))
 
 
-def _cannot(interlock: Interlock, why: str, error: Exception | None = None) -> InterlockTripped:
-    """Return the trip of an interlock that cannot judge: what cannot be judged is not safe."""
+def _interlock_failure(
+    interlock: Interlock, why: str, error: Exception | None = None
+) -> InterlockTripped:
+    """Return the violation for an interlock that cannot check a block.
+
+    A state that is not checked counts as unsafe.
+    """
     where = ""
     if error is not None:
         trace = error.__traceback__
@@ -352,20 +384,23 @@ def _cannot(interlock: Interlock, why: str, error: Exception | None = None) -> I
         where = f", raised in {place}"
     return InterlockTripped(
         f"interlock {interlock.name}: {why}",
-        hint=f"mend the interlock ({origin_of(interlock)}{where}), or leave it out of the spec",
+        hint=f"repair the interlock ({origin_of(interlock)}{where}), or remove it from the spec",
     )
 
 
 STALE_AFTER_BLOCKS = 50
-"""Blocks in a row without a newer sample; a virtual clock has no other measure."""
+"""Maximum number of consecutive blocks without a newer sample, used for robots with a virtual
+clock."""
 
 
 class Freshness:
-    """Follows the device clock and trips when it brings nothing newer: the interlock `stale`.
+    """Interlock `stale`, which trips if the device clock does not advance.
 
     Args:
-        after_s: Wall time without a newer sample that counts as stale [s]; None for the default.
-        wall: Whether the robot lives in wall time; on a virtual clock blocks are counted.
+        after_s: Wall time without a newer sample after which the state counts as stale [s]; None
+            for the default.
+        wall: Whether the robot uses a wall clock; with a virtual clock, blocks are counted instead
+            of wall time.
         now: Monotonic clock [s].
     """
 
@@ -384,16 +419,16 @@ class Freshness:
         self._blocks = 0
 
     def check(self, block: StructArray) -> None:
-        """Judge one block.
+        """Check the device times of one block of rows.
 
         Raises:
-            StaleState: Its time is not a number.
-            InterlockTripped: Its time has not advanced for too long.
+            StaleState: The device time is not a finite number.
+            InterlockTripped: The device time has not advanced for longer than the limit.
         """
         times = block["device_time"]
         if not np.isfinite(times).all():
             raise StaleState(
-                "the robot's clock is not a number",
+                "the device time of the robot is not a finite number",
                 hint="check the driver: every row needs a finite device_time",
             )
         if times[-1] > self._newest:
@@ -407,13 +442,13 @@ class Freshness:
             )
 
     def _too_long(self) -> str:
-        """Return how long nothing new came, in words; nothing while that is within bounds."""
+        """Return a message about the time without new samples; empty within the limit."""
         if not self._wall:
-            blocks = f"{self._blocks} blocks in a row brought nothing new"
+            blocks = f"{self._blocks} blocks in a row without a newer sample"
             return blocks if self._blocks > STALE_AFTER_BLOCKS else ""
         quiet = self._now() - self._since
         limit = f"limit {self._after_s:g} s"
-        return f"nothing new for {quiet:.3g} s, {limit}" if quiet > self._after_s else ""
+        return f"no newer sample for {quiet:.3g} s, {limit}" if quiet > self._after_s else ""
 
     def _how(self, time_s: float) -> str:
         if time_s < self._newest:
@@ -422,24 +457,26 @@ class Freshness:
 
 
 STANDS_STILL_S = 0.5
-"""Wall time after which a device clock that has not gone on is taken to stand still [s]."""
+"""Wall time without any progress of the device clock after which the device clock counts as
+stopped [s]."""
 
 LEAST_WALL_S = 1.0
-"""A computer is allowed this much even where a simulated second lasts a tenth of one [s]."""
+"""Minimum wall time before a time-out [s], even if one second on a virtual clock lasts only 0.1
+s."""
 
 
 class Deadline:
-    """A time-out by the device clock, or by the wall clock where the device clock stands still.
+    """Time-out measured with the device clock, or with the wall clock if the device clock stops.
 
-    In wall time the device clock alone is not enough before `LEAST_WALL_S`: a mock in a hurry must
-    not make a time-out of every moment in which this process does not get the processor. The wall
-    clock alone is not enough while device time goes on: simulated drives on a busy computer are
-    slower than they are planned to be, and nothing is wrong with them.
+    With a wall clock, the device clock alone does not cause a time-out before `LEAST_WALL_S`: a
+    fast mock robot would otherwise time out whenever this process gets no processor time. The wall
+    clock alone does not cause a time-out while the device time advances, because simulated drives
+    on a busy computer are slower than planned.
 
     Args:
-        seconds: Time allowed.
-        begin: Device time now [s].
-        wall: Whether the robot lives in wall time; on a virtual clock only device time counts.
+        seconds: Allowed time [s].
+        begin: Present device time [s].
+        wall: Whether the robot uses a wall clock; with a virtual clock, only device time counts.
         now: Monotonic clock [s].
     """
 
@@ -460,13 +497,13 @@ class Deadline:
         self._newest, self._advanced = begin, began
 
     def extend(self, seconds: float) -> None:
-        """Allow more time [s]."""
+        """Extend the time-out by `seconds`."""
         self.seconds += seconds
         self._device_end += seconds
         self._wall_end += seconds
 
     def over(self, device_time: float) -> bool:
-        """Return whether the time is up; a device time that is no number counts as up."""
+        """Return whether the time-out has expired; a device time of NaN counts as expired."""
         now = self._now()
         if device_time > self._newest:
             self._newest, self._advanced = device_time, now

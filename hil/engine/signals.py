@@ -1,12 +1,13 @@
-"""Ctrl-C, SIGTERM and a lost terminal become stop requests, not exceptions in a command.
+"""Handling of Ctrl-C, SIGTERM and a lost terminal as stop requests.
 
-While nothing moves (planning, fitting) a signal raises `StopSignal`. While a run is guarded, from
-the making of its directory to its stop document, signals interrupt nothing. The first Ctrl-C asks
-the engine to pause at the next checkpoint, the second for a controlled stop now, which is also what
-SIGTERM and a lost terminal mean, Ctrl-C while the run is paused, and the first Ctrl-C of a run that
-nobody attends: nobody could let it go on. The third of any stops the robot directly and ends the
-process. A signal that was ignored when the program started (`nohup`)
-stays ignored.
+While the robot does not move (planning, fitting), a watched signal raises `StopSignal`. While a run
+is guarded, from the creation of its directory to its stop document, watched signals raise no
+exception. In a guarded run, the first Ctrl-C requests a pause at the next checkpoint, and the
+second Ctrl-C requests an immediate controlled stop. SIGTERM, a lost terminal and a Ctrl-C during a
+pause also request a controlled stop. In an unattended run the first Ctrl-C requests a controlled
+stop, because no operator could resume the run. The third watched signal of any kind stops the robot
+directly and ends the process. A signal that was ignored when the program started (`nohup`) remains
+ignored.
 """
 
 from __future__ import annotations
@@ -32,17 +33,18 @@ EXIT_CODE = 130
 
 
 class StopSignal(KeyboardInterrupt):
-    """A watched signal came while nothing moved.
+    """Exception that a watched signal raises while the robot does not move.
 
-    No `Exception`, so that no library between here and there takes it for an error of its own.
+    The class is not a subclass of `Exception`, so that no library handles `StopSignal` as an error
+    of the library.
     """
 
 
 class SignalWatch:
-    """Handles the watched signals while it is open; does nothing outside the main thread.
+    """Handler of the watched signals while its context is open; inactive outside the main thread.
 
     Args:
-        attended: Whether somebody can let a paused run go on; if not, the first Ctrl-C stops it.
+        attended: Whether an operator can resume a paused run; otherwise the first Ctrl-C stops it.
     """
 
     def __init__(self, *, attended: bool = True) -> None:
@@ -70,12 +72,12 @@ class SignalWatch:
             signal.signal(number, handler)
 
     def stopped(self) -> Stopped:
-        """Return the stop that the signals asked for, as an error of the tree."""
+        """Return the stop that the signals requested, as a `Stopped` error."""
         return Stopped(self.reason, by_signal=True)
 
     @contextlib.contextmanager
     def guard(self) -> Iterator[None]:
-        """Note signals while inside and pass them on to a bound engine; they raise nothing."""
+        """Collect watched signals without raising and forward them to a bound engine."""
         self._guarding = True
         try:
             yield
@@ -83,7 +85,7 @@ class SignalWatch:
             self._guarding, self._bound = False, None
 
     def bind(self, engine: Engine, robot: Robot) -> None:
-        """Pass signals on to this engine; one that has come already, too."""
+        """Forward watched signals, including an earlier signal, to this engine."""
         self._bound = (engine, robot)
         if self.seen:
             engine.request_stop(self.reason, by_signal=True)
@@ -92,7 +94,7 @@ class SignalWatch:
         name = signal.Signals(number).name
         if self._bound is not None and self._pauses(number):
             self._pressed = True
-            self._bound[0].request_pause(f"{name}: Enter goes on, Ctrl-C again stops")
+            self._bound[0].request_pause(f"{name}: press Enter to resume, or Ctrl-C again to stop")
             return
         self.seen += 1
         self.reason = f"stopped by {name}"
@@ -102,13 +104,13 @@ class SignalWatch:
             return
         engine, robot = self._bound
         if engine.state is RunState.DONE:
-            return  # nothing moves, and the end is being written down
+            return  # the robot is static, and the stop document is being written
         engine.request_stop(self.reason, by_signal=True)
         if self.seen + (self._pressed and engine.pause_pending) >= LAST_RESORT_AT:
             _last_resort(robot)
 
     def _pauses(self, number: int) -> bool:
-        """Return whether a signal is the first Ctrl-C of a run that can still pause."""
+        """Return whether a signal is the first Ctrl-C of a run that can still be paused."""
         assert self._bound is not None
         engine = self._bound[0]
         can = engine.state in (RunState.PREFLIGHT, RunState.ARMED, RunState.RUNNING)
@@ -120,9 +122,10 @@ _leaving = threading.Event()
 
 
 def _last_resort(robot: Robot) -> None:
-    """Stop the robot directly and end the process: the engine may be stuck in a driver.
+    """Stop the robot directly and end the process, because the engine possibly hangs in a driver.
 
-    So may `stop` itself: it gets a moment, and none at all when another signal comes meanwhile.
+    The method `stop` of the robot can hang as well: the call has a time limit, and a further signal
+    ends the process immediately.
     """
     try:
         if not _leaving.is_set():

@@ -1,11 +1,12 @@
-"""Where a run stands, and the words for it and for its events.
+"""Progress of a run, and text descriptions of its progress and events.
 
-`Standing` folds the events that the engine publishes into one picture. Terminal, live file,
-dashboard and network view each hold one and describe it with the same words, so that a run reads
-the same wherever it is watched. Events may be old or partial: keys that are missing change nothing.
+`Standing` accumulates the events published by the engine into one state. Terminal, live file,
+dashboard and network view each have a `Standing` and describe it with the same functions, so that
+they all show the same text. Events can be incomplete or from an older version: a missing key leaves
+the state unchanged.
 
-Two kinds of events are put into words. `message_of` is for those that observers receive, such as
-`{"kind": "step", …}`; `words_of` is for the lines of `events.jsonl`, which hold more.
+Two functions convert events to text. `message_of` converts events received by observers, such as
+`{"kind": "step", …}`; `words_of` converts the lines of `events.jsonl`, which contain more data.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ from typing import Any
 from hil.core import plain
 
 PACE_KNOWN_AFTER_S = 0.5
-"""A virtual clock needs a moment to show its pace; before that the plan's own time stands [s]."""
+"""Wall time after which the speed of a virtual clock is measured accurately enough [s]; before
+this time, a speed of 1 is used."""
 
 BEHIND_SHOWN_S = 0.5
-"""A recorder that is less behind than this is keeping up [s]."""
+"""Minimum delay of the recorder that is reported [s]."""
 
 PAUSED = "paused"
 ENDING = ("stopping", "done")
@@ -31,22 +33,26 @@ Event = Mapping[str, Any]
 
 @dataclass(slots=True)
 class Standing:
-    """What is known of a run so far.
+    """Accumulated progress of a run.
 
     Attributes:
-        stage: What the campaign does: planning, running, fitting.
-        state, reason: Of the engine, and why it is in that state.
-        step, steps: Index of the step that is executed, and how many there are.
-        doing, pose, trajectory, load: What kind of step it is, and of what; −1 for none.
-        device_s, wall_s: Since the run began [s].
-        duration_s: Planned, pauses and prompts left out [s].
-        samples, gaps, missing, duplicates, overruns: Of the robot record.
-        behind_s: How far the recorder is behind [s].
-        pausing: Why it will pause at the next checkpoint, empty while it will not.
-        prompt: What the operator is being asked, empty while nothing.
-        asked: Number of the newest prompt of this attempt, from 1; 0 where nobody has counted.
-        paused_s: Device time spent paused or waiting for an answer [s].
-        resumed: 1 where the run was gone on with: times and shares are of what was left then.
+        stage: Stage of the experiment: planning, running or fitting.
+        state, reason: State of the engine, and the reason for this state.
+        step, steps: Index of the current step, and the total number of steps.
+        doing, pose, trajectory, load: Kind of the current step, and the indices of its pose,
+            trajectory and load; −1 if the step has none.
+        device_s, wall_s: Device time and wall time since the run began [s].
+        duration_s: Planned duration of the run without pauses and prompts [s].
+        samples, gaps, missing, duplicates, overruns: Counts for the recorded topic of the robot
+            state.
+        behind_s: Delay of the recorder behind the robot [s].
+        pausing: Reason for the pause at the next checkpoint; empty if no pause is requested.
+        prompt: Question to the operator that is open now; empty if no question is open.
+        asked: Number of the newest question to the operator in this attempt, counted from 1; 0 if
+            unknown.
+        paused_s: Device time spent in pauses or at prompts [s].
+        resumed: 1 if the run was resumed, so that times and shares refer to the remaining plan;
+            otherwise 0.
     """
 
     stage: str = ""
@@ -74,7 +80,7 @@ class Standing:
     resumed: int = 0
 
     def take(self, event: Event) -> None:
-        """Update from an event; keys it lacks keep their value, unknown kinds change nothing."""
+        """Update the state from an event; missing keys and unknown kinds change nothing."""
         kind = event.get("kind")
         if kind == "stage":
             self.stage = str(event.get("stage", ""))
@@ -93,51 +99,56 @@ class Standing:
             before = self.device_s
             for name in _COUNTED & event.keys():
                 value = event[name]
-                if not isinstance(value, float) or math.isfinite(value):  # NaN: no sample yet
+                # NaN before the first sample
+                if not isinstance(value, float) or math.isfinite(value):
                     setattr(self, name, value)
             if self.waits:
                 self.paused_s += max(0.0, self.device_s - before)
 
     @property
     def waits(self) -> bool:
-        """Whether the program stands still: paused, or somebody is asked something."""
+        """Whether the measuring program is waiting, because of a pause or an open question."""
         return self.state == PAUSED or bool(self.prompt)
 
     @property
     def completed(self) -> bool:
-        """Whether the program came to its end: a run that is stopped early has a reason."""
+        """Whether the measuring program is complete: the run ended without a stop reason."""
         return self.state in ENDING and self.reason in ("", "completed") and self.steps > 0
 
     @property
     def moved_s(self) -> float:
-        """Device time of the program itself, without pauses and prompts [s]."""
+        """Device time of the measuring program without pauses and prompts [s]."""
         return max(0.0, self.device_s - self.paused_s)
 
     @property
     def share(self) -> float:
-        """How much of the program is done, 0 … 1; at most 0.99 before it is completed."""
+        """Completed share of the measuring program, 0 to 1; below 1 until the run is completed.
+
+        The share is at most 0.99 before the run is completed.
+        """
         if self.completed:
             return 1.0
-        # Dwells may take longer than planned: before its end no run is done.
+        # Dwells can take longer than planned, so the share is below 1 before the end.
         return min(0.99, self.moved_s / self.duration_s) if self.duration_s > 0 else 0.0
 
     @property
     def pace(self) -> float:
-        """Device seconds per second of wall time, at least 1: a start takes its time once."""
+        """Device time per wall time; at least 1, because the start of a run is slow."""
         if self.wall_s > PACE_KNOWN_AFTER_S:
             return max(1.0, self.device_s / self.wall_s)
         return 1.0
 
     @property
     def left_s(self) -> float:
-        """Wall time to the end of the program, should nothing come between [s]."""
+        """Expected wall time until the measuring program ends without interruptions [s]."""
         return 0.0 if self.completed else max(0.0, self.duration_s - self.moved_s) / self.pace
 
     @property
     def troubles(self) -> list[str]:
-        """What a recording should not have, in words; nothing when all is well.
+        """Descriptions of the problems of the recording; empty if there are no problems.
 
-        Late samples are not among them: none is lost, and a busy machine has many.
+        Late samples are not described as a problem, because no late sample is lost and a busy
+        computer causes many late samples.
         """
         missing = f" ({self.missing} samples missing)" if self.missing else ""
         said = [
@@ -148,7 +159,7 @@ class Standing:
         return [text for text in said if text]
 
     def snapshot(self) -> dict[str, Any]:
-        """Everything that is known, for JSON."""
+        """Return the complete progress state as a JSON object."""
         known = {field.name: getattr(self, field.name) for field in fields(self)}
         return known | {"percent": round(100 * self.share, 2), "left_s": round(self.left_s, 2)}
 
@@ -165,22 +176,28 @@ def _count(number: int, what: str) -> str:
 
 
 def state_words(standing: Standing) -> str:
-    """Return the state and its reason: `paused: interlock temperature: …`."""
+    """Return the state of the engine and its reason, such as `paused: interlock temperature: …`."""
     return f"{standing.state}: {standing.reason}" if standing.reason else standing.state
 
 
 def share_words(standing: Standing) -> str:
-    """Return ` 12 %`; of a run that was resumed ` 12 % of what was left`."""
-    of = " of what was left" if standing.resumed else ""
+    """Return the completed share of the run as text, such as ` 12 %`.
+
+    The text of a resumed run is ` 12 % of the remaining plan`.
+    """
+    of = " of the remaining plan" if standing.resumed else ""
     return f"{100 * standing.share:3.0f} %{of}"
 
 
 def step_words(standing: Standing) -> str:
-    """Return `step 12/650 dwell, pose 5`; nothing before the first one."""
+    """Return the current step as text, such as `step 12/650 dwell, pose 5`.
+
+    The text is empty before the first step.
+    """
     if not standing.steps:
         return ""
-    if standing.step < 0:  # what a resumed run does before it goes on
-        return "on the way back"
+    if standing.step < 0:  # steps of a resumed run before its remaining plan
+        return "returning to the plan"
     load = standing.load if standing.doing in ("payload", "weigh") else -1
     subjects = (("pose", standing.pose), ("trajectory", standing.trajectory), ("load", load))
     of = [f"{what} {i}" for what, i in subjects if i >= 0]
@@ -189,23 +206,23 @@ def step_words(standing: Standing) -> str:
 
 
 def answer_words(event: Event) -> str:
-    """Return `answered by anna`, or `anna answered no`: that ends the run."""
-    who = event.get("answered_by") or "nobody"
+    """Return `answered by anna`, or `anna answered no` for an answer that ends the run."""
+    who = event.get("answered_by") or "no operator"
     return f"{who} answered no" if event.get("answer") == "no" else f"answered by {who}"
 
 
-# Events that observers receive.
+# Events received by observers.
 
 DEBUG, INFO, WARNING, ERROR = 10, 20, 30, 40
-"""Levels of `rcl_interfaces/msg/Log`."""
+"""Numbers of the log levels of `rcl_interfaces/msg/Log`."""
 
 
 def message_of(event: Event, standing: Standing) -> tuple[int, str] | None:
-    """Return level and text of an event; None for one that is no news by itself.
+    """Return log level and text of an event; None for an event that is not displayed as text.
 
     Args:
-        event: Of the engine.
-        standing: Where the run stands, that event included.
+        event: Event published by the engine.
+        standing: Progress of the run after the event.
     """
     kind = event.get("kind")
     if kind == "stage":
@@ -227,15 +244,15 @@ def message_of(event: Event, standing: Standing) -> tuple[int, str] | None:
 # Lines of the event log.
 
 MOST = 2000
-"""Characters of one line; what files say was written by anybody."""
+"""Maximum number of characters of a displayed line, because the content of files is not trusted."""
 
 
 def words_of(event: Event, run: str) -> str:
-    """Return one event of the log of `run`, for people."""
+    """Return a readable text for one event in the event log of `run`."""
     words = _WORDS.get(str(event["kind"]), _any)
     try:
         text = words(event, run)
-    except (KeyError, TypeError, ValueError):  # written by another version
+    except (KeyError, TypeError, ValueError):  # written by a different version
         text = _any(event, run)
     return plain(text, most=MOST)
 
@@ -247,7 +264,7 @@ def _any(event: Event, run: str) -> str:
 
 def _interlocks(event: Event, run: str) -> str:
     each = (f"{one['name']} {one['limit'] or one['action']}" for one in event["watching"])
-    return f"watched by interlocks: {', '.join(each)}"
+    return f"active interlocks: {', '.join(each)}"
 
 
 def _dwell(event: Event, run: str) -> str:
@@ -257,17 +274,17 @@ def _dwell(event: Event, run: str) -> str:
 
 def _control(event: Event, run: str) -> str:
     reason = f": {event['reason']}" if event.get("reason") else ""
-    refused = f" (not done: {event['problem']})" if event.get("problem") else ""
-    return f"{event.get('who', 'somebody')} asked to {event['what']}{reason}{refused}"
+    refused = f" (refused: {event['problem']})" if event.get("problem") else ""
+    return f"request from {event.get('who', 'an unknown client')}: {event['what']}{reason}{refused}"
 
 
 def _weighing(event: Event, run: str) -> str:
     if event["result"] == "skipped":
-        return f"loads are not weighed: {event['reason']}"
+        return f"no payload check: {event['reason']}"
     load, why = event["load"], event.get("problem")
     if event["result"] == "first":
-        return f"load {load} weighed: the others are compared with it"
-    return f"load {load} weighed: {event['result']}" + (f": {why}" if why else "")
+        return f"payload check of load {load}: reference for the other loads"
+    return f"payload check of load {load}: {event['result']}" + (f": {why}" if why else "")
 
 
 _WORDS: dict[str, Callable[[Event, str], str]] = {
@@ -276,7 +293,7 @@ _WORDS: dict[str, Callable[[Event, str], str]] = {
     "checkpoint": lambda e, run: f"step {e['step'] + 1}: checkpoint",
     "dwell": _dwell,
     "payload": lambda e, run: f"load {e['load']}: {e['mass_kg']:g} kg set",
-    "asked": lambda e, run: f"asks: {e['text']} (answer: hil answer {run} yes)",
+    "asked": lambda e, run: f"question: {e['text']} (answer: hil answer {run} yes)",
     "prompt": lambda e, run: answer_words(e),
     "paused": lambda e, run: f"paused: {e['reason']}",
     "resumed": lambda e, run: f"resumed by {e['by']}",

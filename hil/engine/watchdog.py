@@ -1,4 +1,4 @@
-"""Notices that the control thread does not come round any more, or that the process did not run."""
+"""Watchdog that detects a hanging control thread and periods in which the process was suspended."""
 
 from __future__ import annotations
 
@@ -10,34 +10,40 @@ from collections.abc import Callable
 from types import TracebackType
 
 HUNG_AFTER_S = 3.0
-"""Longest time between two blocks on a robot that lives in wall time [s]."""
+"""Maximum time between two blocks of a robot with a wall clock [s]; a longer time counts as a
+hang."""
 
 TICK_S = 0.1
-"""Interval between watchdog checks [s]."""
+"""Time between two watchdog checks [s]."""
 
 GAP_S = 0.5
-"""Longest interval between two checks of a process that runs; a longer one is a gap [s]."""
+"""Maximum time between two watchdog checks of a running process; a longer time counts as a gap
+in the execution [s]."""
 
 RECENT_S = 1.0
-"""A silence of the robot is attributed to a gap in this process's execution if that gap ended at
-most this long before the last block, or after it [s]. After an earlier gap the robot has sent data
-again."""
+"""Maximum time between the end of an execution gap and the last block for attributing a robot
+time-out to the gap [s].
+
+An execution gap that ended earlier is not the cause of the time-out, because the robot has sent
+data after the gap. An execution gap after the last block always counts as the cause.
+"""
 
 _GAPS_KEPT = 100
 
 
 def now_s() -> float:
-    """Return a clock that also goes on while the computer sleeps [s]."""
+    """Return the time of a clock that also advances while the computer sleeps [s]."""
     if hasattr(time, "CLOCK_BOOTTIME"):
         return time.clock_gettime(time.CLOCK_BOOTTIME)
     return time.monotonic()
 
 
 class Presence:
-    """Knows when this process did not run: suspended, or its computer asleep or overloaded.
+    """Record of the execution gaps, in which this process did not run.
 
-    Some thread has to call `look` about every `TICK_S`. The first call after a gap records it, so
-    the answer does not depend on which thread gets the processor first.
+    A gap occurs if the process is suspended, or if the computer sleeps or is overloaded. A thread
+    must call `look` about every `TICK_S` seconds. The first call of `look` after a gap records the
+    gap, so that the recorded gaps do not depend on the order in which the threads continue.
     """
 
     def __init__(self) -> None:
@@ -46,17 +52,17 @@ class Presence:
         self._gaps: deque[tuple[float, float]] = deque(maxlen=_GAPS_KEPT)
 
     def begin(self) -> None:
-        """Record gaps from now on."""
+        """Start recording gaps."""
         with self._lock:
             self._last, self._looks = now_s(), True
 
     def end(self) -> None:
-        """Record a final gap and stop recording."""
+        """Record a gap that lasts until now, if any, and stop recording gaps."""
         self.look()
         self._looks = False
 
     def look(self) -> float:
-        """Note that the process runs now; returns the time [s]."""
+        """Record that the process is running now; return the present time [s]."""
         with self._lock:
             now = now_s()
             if self._looks and now - self._last > GAP_S:
@@ -65,26 +71,29 @@ class Presence:
         return now
 
     def absent_s(self, since: float) -> float:
-        """Return the total time for which the process did not run since a moment [s]."""
+        """Return the total duration of gaps since the time `since` [s]."""
         return sum(max(0.0, end - max(begin, since)) for begin, end in list(self._gaps))
 
     def longest_s(self, since: float) -> float:
-        """Return the longest of the gaps that ended after a moment [s]; 0 without any."""
+        """Return the longest gap that ended after the time `since` [s]; 0 if there is none."""
         return max((end - begin for begin, end in list(self._gaps) if end > since), default=0.0)
 
 
 class Watchdog:
-    """Watches one loop while it is open.
+    """Watchdog for one control loop, active while its context is open.
 
-    A driver whose call never returns takes the control thread with it; the stop then has to come
-    from elsewhere, and the engine ends the run without that thread. A process that did not run is
-    another matter: all of its threads stood still, and no driver is to blame.
+    A driver call that never returns blocks the control thread. While a driver call blocks the
+    control thread, the stop must come from a different thread, and the engine ends the run without
+    the control thread. A gap in the execution of the process is handled separately from a hang: all
+    threads were suspended, and no driver is the cause.
 
     Args:
-        hung: Called once, on the watchdog's thread, when the loop has not come round in time.
-        suspended: Called once, on the watchdog's thread, with the time for which the process did
-            not run [s], if that was longer than `HUNG_AFTER_S`.
-        on: False to watch nothing: on a virtual clock nothing moves while nobody reads.
+        hung: Callback that is called a single time, on the watchdog thread, if the loop has not
+            reported in time.
+        suspended: Callback for a gap in the execution of the process longer than `HUNG_AFTER_S`;
+            called a single time, on the watchdog thread, with the duration of the gap [s].
+        on: Whether the watchdog monitors the loop. The value of `on` is False for a virtual clock,
+            because the robot then moves only while its state is read.
     """
 
     def __init__(
@@ -104,12 +113,12 @@ class Watchdog:
         self._on = on
 
     def feed(self) -> float:
-        """Note that the loop has come round.
+        """Record that the control loop is running.
 
         Returns:
-            For how long the process did not run since the last time, if that was longer than
-            `HUNG_AFTER_S` [s], else 0. A call that was allowed to take long is not counted: the
-            arm stood still, and some libraries keep the interpreter to themselves.
+            The longest gap in the execution of the process since the last call [s], if longer than
+            `HUNG_AFTER_S`, else 0. Gaps during a call that `be_patient` allowed are ignored: the
+            arm was static, and some libraries block the Python interpreter.
         """
         now = self._presence.look()
         gap = 0.0 if self._patient or not self._on else self._presence.longest_s(self._last)
@@ -117,17 +126,20 @@ class Watchdog:
         return gap if gap > HUNG_AFTER_S else 0.0
 
     def be_patient(self, seconds: float) -> None:
-        """Allow the next call so long, until the loop comes round; 0 when it is over before."""
+        """Allow the next driver call to take `seconds`; 0 cancels the allowance.
+
+        The allowance ends with the next `feed`.
+        """
         self._last = self._presence.look() + max(0.0, seconds - HUNG_AFTER_S)
         self._patient = seconds > 0.0
 
     @property
     def patient(self) -> bool:
-        """Whether a call was on its way that may take long."""
+        """Whether a driver call that is allowed to take long is in progress."""
         return self._patient
 
     def absent_s(self) -> float:
-        """Return the longest gap since about the last block, without the process running [s]."""
+        """Return the longest execution gap of the process since about the last block [s]."""
         self._presence.look()
         return self._presence.longest_s(self._fed - RECENT_S) if self._on else 0.0
 
@@ -156,7 +168,7 @@ class Watchdog:
             gap = self._presence.longest_s(self._last)
             if late - self._presence.absent_s(self._last) > HUNG_AFTER_S:
                 self._presence.end()
-                with contextlib.suppress(Exception):  # nobody is there to hear of it
+                with contextlib.suppress(Exception):  # no caller can handle an exception here
                     self._hung()
                 return
             if gap > HUNG_AFTER_S and not noted:

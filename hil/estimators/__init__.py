@@ -1,6 +1,6 @@
-"""Estimators: robot models from data. They see datasets and dynamics, never a robot or a file.
+"""Estimators that fit robot models to datasets, without access to robots or recording files.
 
-Nothing heavy is imported before an estimator is asked for by name.
+Modules of estimators are imported lazily, when an estimator is requested by its name.
 """
 
 import lazy_loader

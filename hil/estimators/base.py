@@ -1,11 +1,12 @@
-"""What every estimator of a robot model shares: its life, its parameters and its file.
+"""Base classes of all robot-model estimators: parameters, fit, prediction and storage.
 
-An estimator is made by name (`estimator`), fitted to a `Dataset` (`fit`) and from then on *is* the
-model: it predicts recordings (`predict`) and single samples (`stream`), and is written to a folder
-(`save`) and read from one (`load_model_file`). `RobotEstimator` says what that takes, in the style
-of scikit-learn: parameters are declared (`hil.estimators.parameters`), fitted attributes end in
-`_`. `WlsEstimator` is the base of all models whose torque is a regressor times coefficients; it
-leaves the regressor to its subclasses.
+`estimator` creates an estimator from its registered name. `fit` fits the estimator to a `Dataset`;
+the fitted estimator then serves as the model. A fitted estimator predicts the effort of recordings
+(`predict`) and of single samples (`stream`). `save` writes a fitted model to a folder, and
+`load_model_file` reads a model from such a folder. `RobotEstimator` defines the interface of an
+estimator in the style of scikit-learn: parameters are declared (`hil.estimators.parameters`), and
+names of fitted attributes end in `_`. `WlsEstimator` is the base of all models whose torque is a
+regressor times coefficients; its subclasses define the regressor.
 """
 
 from __future__ import annotations
@@ -53,25 +54,27 @@ from hil.estimators.streaming import MemorylessStream
 GROUP = "hil.estimators"
 
 HONEST = "honest"
-"""Protocol of a model that predicts from the motion and the load alone."""
+"""Protocol name of models that predict the effort from the motion and the payload alone."""
 
 
 class RobotEstimator(Parametrised):
-    """Fits a model of one robot to a `Dataset` and then *is* that model.
+    """Base class of all estimators: fits a model of one robot to a `Dataset` and predicts with it.
 
     Attributes:
         estimator: Name under which the class is registered.
-        series_kinds: Which series it learns from, the preferred kinds first.
-        tells_friction: Whether its predictions say which part of them is friction.
-        robot_: The robot model it was fitted for.
-        joint_names_: Joints, in the order of every array.
-        effort_kind_: `current` or `torque`, the unit of predictions.
-        torque_scale_: (n,) torque per unit of effort; 1 when the effort is a torque.
-        gains_source_: Where the drive gains come from; empty without.
+        series_kinds: Kinds of series (dwells, trajectories) that a fit uses, the preferred kind
+            first.
+        tells_friction: Whether the predictions of the estimator contain the friction as a separate
+            component.
+        robot_: Robot model to which the estimator was fitted.
+        joint_names_: Names of the joints, in the order of the joint axis of every fitted array.
+        effort_kind_: Quantity that the model predicts: `current` [A] or `torque` [N·m].
+        torque_scale_: (n,) torque per unit of effort; 1 if the effort is a torque.
+        gains_source_: Source of the drive gains; empty if the training data have no drive gains.
         sigma_: (n,) standard deviation of the training residual, in effort units.
-        samples_: Rows (or dwells) the fit used.
-        training_: What the model remembers of its training data; None in older model files.
-        notes_: What a fit did about data that are not as they should be, for people.
+        samples_: Number of rows (or of dwells, for a static model) that the fit used.
+        training_: Summary of the training data; None for older model files.
+        notes_: List of notes for the user on how the fit treated irregular data.
     """
 
     estimator: ClassVar[str] = ""
@@ -90,58 +93,70 @@ class RobotEstimator(Parametrised):
 
     @property
     def protocol(self) -> str:
-        """`honest`, or how the model departs from that to reproduce a publication.
+        """Protocol of the model: `honest`, or a name for the deviation from an honest model.
 
-        It is shown beside the model's name, and only honest models are judged against criteria.
+        Models that deviate from the honest protocol exist only to reproduce publications. Reports
+        show the protocol of a model beside its name. Only models with the honest protocol are
+        checked against the criteria of an experiment.
         """
         return HONEST
 
     @property
     def knows_gains(self) -> bool:
-        """Whether its efforts can be stated in N·m: gains of 1 without a source stand for none."""
+        """Whether the effort that the model predicts can be converted to N·m.
+
+        Drive gains that are all 1 and have no source count as unknown gains.
+        """
         without = not self.gains_source_ and bool(np.all(self.torque_scale_ == 1.0))
         return self.effort_kind_ == "torque" or not without
 
     def extras(self) -> Mapping[str, str]:
-        """Extras of this distribution that a fit needs, and what for; checked before any motion."""
+        """Return the optional dependencies that a fit needs, mapped to their purpose.
+
+        A run checks these optional dependencies before the robot moves.
+        """
         return {}
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what a fit cannot do without; `fit` requires it, and a run is refused before it.
+        """Return the minimum data requirements of a fit.
 
-        An estimator that states nothing is not refused before a run.
+        A run that would not meet these requirements is refused before it starts. An estimator that
+        states no data requirements never causes a run to be refused.
 
         Args:
-            robot: What would be fitted.
-            loaded: Whether a load is mounted in any of the data.
+            robot: Robot model to be fitted.
+            loaded: Whether a payload is mounted in any of the data.
 
         Raises:
-            FitError: No data of this robot can be fitted.
+            FitError: The estimator cannot be fitted to data of this robot.
         """
         return Needs()
 
     @abstractmethod
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit to a dataset."""
+        """Fit the model to a dataset."""
 
     @abstractmethod
     def predict(self, dataset: Dataset) -> Prediction:
-        """Predict every row."""
+        """Predict the effort of every row of a dataset."""
 
     @abstractmethod
     def stream(self, payload: Payload | None = None) -> Stream:
-        """A predictor for one sample at a time under a declared load."""
+        """Return a predictor for one sample at a time, with the declared payload mounted."""
 
     @abstractmethod
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """The fitted numbers, for the model file."""
+        """Return the fitted arrays that the model file stores, by name."""
 
     @abstractmethod
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Inverse of `fitted_arrays` and `fitted_facts`; `robot_` is already set."""
+        """Restore the fitted attributes from `fitted_arrays` and `fitted_facts`.
+
+        The caller must set `robot_` before this call.
+        """
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Names and units of what was fitted, as JSON."""
+        """Return the names and units of the fitted quantities, as values that JSON can store."""
         return {
             "joint_names": list(self.joint_names_),
             "effort_kind": self.effort_kind_,
@@ -151,7 +166,7 @@ class RobotEstimator(Parametrised):
         } | ({"notes": list(self.notes_)} if self.notes_ else {})
 
     def save(self, folder: Path) -> Path:
-        """Write `model.json` and `model.safetensors` into a folder; returns the folder."""
+        """Write `model.json` and `model.safetensors` into a folder and return the folder."""
         return save_model(self, folder)
 
     def _remember(self, dataset: Dataset, robot: RobotModel, scale: FloatArray) -> None:
@@ -172,56 +187,58 @@ class RobotEstimator(Parametrised):
         self.sigma_ = arrays["sigma"]
 
     def require_match(self, dataset: Dataset) -> None:
-        """Refuse to predict for another robot or unit than the model was fitted for.
+        """Raise if robot, effort unit or gravity of the data differ from those of the model.
 
         Raises:
-            FitError: It is not fitted yet.
-            DataError: The data are of another robot, unit or gravity; those that do not say
-                their robot pass.
+            FitError: The estimator is not fitted yet.
+            DataError: Robot, effort unit or gravity of the data differ from those of the model.
+                Data that do not name a robot are accepted for the model of any robot.
         """
         if not hasattr(self, "sigma_"):
             raise FitError(f"{self.estimator} is not fitted yet", hint="call fit first")
         if not may_be(dataset.robot, self.robot_):
             raise DataError(
-                f"the model is of a {self.robot_.name}, the data are of a {dataset.robot}",
-                hint="use a model that was fitted to recordings of the same type of robot",
+                f"the model is for a {self.robot_.name}, the data are from a {dataset.robot}",
+                hint="use a model that was fitted to recordings of the same robot type",
             )
         if dataset.joint_names != self.joint_names_:
             raise DataError(
                 f"the model is for the joints {', '.join(self.joint_names_)}, "
                 f"the data have {', '.join(dataset.joint_names)}",
-                hint="take recordings of the robot that the model is for",
+                hint="use recordings of the robot that the model was fitted for",
             )
         if dataset.effort_kind != self.effort_kind_:
             raise DataError(
-                f"the model predicts a {self.effort_kind_}, the data hold a {dataset.effort_kind}",
-                hint="fit and judge on recordings of the same quantity",
+                f"the model predicts a {self.effort_kind_}, the data contain a "
+                f"{dataset.effort_kind}",
+                hint="fit and evaluate on recordings of the same quantity",
             )
         if not np.allclose(dataset.gravity, self.robot_.gravity_vector, atol=0.05):
             raise DataError(
                 f"the model is for gravity {self.robot_.gravity_vector.tolist()} in the base "
                 f"frame, the data were recorded under {list(dataset.gravity)} m/s²",
-                hint="a model of an arm mounted differently needs a fit of its own",
+                hint="fit a separate model for each mounting orientation of the arm",
             )
 
 
 def estimator(name: str, /, **params: Any) -> RobotEstimator:
-    """A fresh estimator by the name it is registered under in `hil.estimators`.
+    """Return a new estimator by its name in the entry-point group `hil.estimators`.
 
     Raises:
-        PluginError: There is no estimator of that name, or it does not load.
-        SpecError: It has no such parameter, or does not accept the value.
+        PluginError: No estimator is registered under this name, or its module cannot be loaded.
+        SpecError: A parameter name is unknown to the estimator, or the estimator rejects the value
+            of a parameter.
     """
     kind = plugins.load(GROUP, name)
     require_known(params, kind.parameter_names(), name)
     try:
-        made: RobotEstimator = kind(**params)
+        created: RobotEstimator = kind(**params)
     except SpecError as error:
         raise SpecError(f"{name}: {error.message}", hint=error.hint) from error
     except (ValidationError, ValueError, TypeError) as error:
-        # A plug-in that does not check its parameters as `hil.estimators.parameters` would.
+        # Third-party plug-ins may check their parameters without `hil.estimators.parameters`.
         raise SpecError(f"{name}: {_first_line(error)}") from error
-    return made
+    return created
 
 
 def _first_line(error: Exception) -> str:
@@ -233,15 +250,15 @@ def _first_line(error: Exception) -> str:
 
 
 def load_model_file(folder: str | Path) -> RobotEstimator:
-    """The model a folder holds, ready to predict.
+    """Return the fitted model that a folder contains, read from its files.
 
     Args:
-        folder: Of the model, or a run with just one.
+        folder: Model folder, or run directory that contains exactly one model.
 
     Raises:
-        DataError: Files are missing or damaged, were written by a newer hil, or the run has
-            several models.
-        PluginError: The estimator it was made with is not installed.
+        DataError: Files of the model are missing or damaged, a newer version of hil wrote the
+            files, or the run directory contains several models.
+        PluginError: The package that contains the estimator of the model is not installed.
     """
     folder = only_model(Path(folder))
     document = read_document(folder / MODEL_FILE)
@@ -251,90 +268,90 @@ def load_model_file(folder: str | Path) -> RobotEstimator:
         model.robot_ = restore_robot(document["robot"], folder)
         model.restore(arrays, document["fitted"])
         require_sound(model)
-        # Models of an older hil do not say what they were trained on.
+        # Older versions of hil did not store a summary of the training data.
         if document.get("training"):
             model.training_ = Training.restored(document["training"], arrays)
-    except _GARBLED as error:
+    except _DAMAGED as error:
         raise DataError(
-            f"{folder / MODEL_FILE} lacks or garbles {error}", hint="fit the model again"
+            f"{folder / MODEL_FILE} is damaged; missing or invalid: {error}",
+            hint="fit the model again",
         ) from error
     return model
 
 
-_GARBLED = (
+_DAMAGED = (
     KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, MemoryError,
     SpecError,
 )  # fmt: skip
-"""What reading a damaged document may end with; estimators are plug-ins and check little."""
+"""Exceptions that a damaged model document can raise, because plug-ins check little of it."""
 
 PREDICTING = frozenset({"coefficients", "rigid", "gear_rigid", "friction", "inertial", "exponent"})
-"""Arrays of models that predictions come from: never without a number."""
+"""Names of the fitted arrays that predictions depend on; every value must be finite."""
 
 
 def require_sound(model: RobotEstimator) -> None:
-    """Refuse names and units that are none before a prediction stumbles over them.
+    """Raise if joint names, units or fitted values of a loaded model are invalid.
 
     Raises:
-        TypeError, ValueError: Something fitted cannot be; the message names it.
+        TypeError, ValueError: A fitted value is invalid; the message contains its name.
     """
     names = [_text(name) for name in model.joint_names_]
     if not np.shape(model.sigma_) == np.shape(model.torque_scale_) == (len(names),):
         raise ValueError(f"joint_names: {len(names)} for {np.size(model.sigma_)} joints")
     if not (np.all(np.isfinite(model.torque_scale_)) and np.all(model.torque_scale_ > 0)):
         raise ValueError(f"torque_scale: {model.torque_scale_.tolist()!s:.60}")
-    # A deviation that is not known is NaN.
+    # An unknown standard deviation is stored as NaN.
     if np.any(np.isinf(model.sigma_) | (model.sigma_ < 0)):
         raise ValueError(f"sigma: {model.sigma_.tolist()!s:.60}")
     for name, values in model.fitted_arrays().items():
         if name in PREDICTING and not np.all(np.isfinite(values)):
-            raise ValueError(f"{name}: it holds values that are not finite")
+            raise ValueError(f"{name} has values that are not finite")
     if model.effort_kind_ not in ("current", "torque"):
         raise ValueError(f"effort_kind: {model.effort_kind_!r:.60}")
 
 
 def _text(value: object) -> str:
-    """A text as it is.
+    """Return the value if it is a string.
 
     Raises:
-        TypeError: It is none.
+        TypeError: The value is not a string.
     """
     if not isinstance(value, str):
-        raise TypeError(f"{value!r:.60} is no text")
+        raise TypeError(f"{value!r:.60} is not a string")
     return value
 
 
 def needs_of(plug_in: Any, robot: RobotModel, *, loaded: bool = False) -> Needs:
-    """Return what an estimator or study states that it needs; plug-ins need not state anything.
-
-    Raises:
-        FitError: No data of this robot will do.
-    """
+    """Return the data requirements that an estimator or study states; empty if none are stated."""
     stated = getattr(plug_in, "needs", None)
     needs: Needs = Needs() if stated is None else stated(robot, loaded=loaded)
     return needs
 
 
 def prepared(dataset: Dataset, settings: FilterSettings) -> Dataset:
-    """The dataset with filtered columns: those it has already, or fresh ones."""
+    """Return the dataset with filtered columns, which are computed only if they are missing."""
     return dataset if is_prepared(dataset) else prepare(dataset, settings)
 
 
 def training_rows(dataset: Dataset, settings: FilterSettings) -> Dataset:
-    """Return the rows that a fit uses, with filtered columns; rows to judge are left out."""
+    """Return the dataset rows that a fit uses, with filtered columns.
+
+    Rows that are reserved for the evaluation of the model are left out.
+    """
     data = downsample(prepared(dataset, settings), settings)
     wanted = rows_to_fit(data)
     return data if np.all(wanted) else rows_of(data, wanted)
 
 
 CHUNK = 4096
-"""Samples whose regressor is built at once; bounds memory on long recordings."""
+"""Number of samples per block of the regressor; bounds the memory use for long recordings."""
 
 LONG = 65_536
-"""Samples from which it pays to load compiled regressors, which take larger chunks."""
+"""Minimum number of samples for the use of compiled regressors, which need larger blocks."""
 
 
 def chunks(dataset: Dataset) -> Iterator[slice]:
-    """Row ranges of bounded length, in order."""
+    """Yield consecutive row ranges of limited length that together cover the dataset."""
     size = CHUNK if len(dataset) < LONG else max(CHUNK, COMPILED_FROM)
     for start in range(0, len(dataset), size):
         yield slice(start, min(start + size, len(dataset)))
@@ -343,7 +360,10 @@ def chunks(dataset: Dataset) -> Iterator[slice]:
 def payload_torque(
     robot: RobotModel, dataset: Dataset, q: FloatArray, qd: FloatArray, qdd: FloatArray
 ) -> FloatArray:
-    """(N, n) torque of each series' load: the identified one where there is one, else declared."""
+    """Return (N, n) the torque [N·m] of the payload mounted in each series.
+
+    If a payload was identified for a series, the identified payload replaces the declared payload.
+    """
     torque = np.zeros_like(q)
     for condition, rows in dataset.slices():
         load = load_of(condition)
@@ -353,14 +373,24 @@ def payload_torque(
 
 
 def load_of(condition: Conditions) -> Payload:
-    """The load a series was recorded with."""
+    """Return the identified payload of a series, or the declared payload if none was identified."""
     return condition.payload_identified or condition.payload
 
 
 def motion_of(
     model: RobotEstimator, t: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
 ) -> Dataset:
-    """One series at times (N,) with motion (N, n), filtered already, nothing mounted, no effort."""
+    """Return a dataset of one series with the given motion, without payload and with zero effort.
+
+    The filtered columns of the dataset contain the unfiltered motion, so that no filter is applied.
+
+    Args:
+        model: Fitted model that defines robot, joints, effort kind and gravity.
+        t: (N,) time [s].
+        q: (N, n) positions [rad].
+        qd: (N, n) velocities [rad/s].
+        qdd: (N, n) accelerations [rad/s²].
+    """
     columns = {"t": t, "q": q, "qd": qd, "effort": np.zeros_like(q)}
     columns |= {"q_f": q, "qd_f": qd, "qdd_f": qdd, "effort_f": np.zeros_like(q)}
     x, y, z = (float(value) for value in model.robot_.gravity_vector)
@@ -379,7 +409,14 @@ def motion_of(
 def dwells_of(
     model: RobotEstimator, q: FloatArray, load: Payload | None = None, **columns: FloatArray
 ) -> Dataset:
-    """A dwell of one row at each of the positions (N, n), with what else is measured there."""
+    """Return a dataset with one dwell of one row at each of the positions `q` (N, n).
+
+    Args:
+        model: Fitted model that defines robot, joints, effort kind and gravity.
+        q: (N, n) positions [rad].
+        load: Declared payload of all dwells; None for no payload.
+        **columns: Additional columns of the dataset, such as a measured temperature.
+    """
     still = np.zeros_like(q)
     whole = motion_of(model, np.arange(len(q), dtype=np.float64), q, still, still)
     ids = [f"dwell{k}" for k in range(len(q))]
@@ -399,21 +436,24 @@ STD_ERROR_GIVEN = (
 
 STD_ERROR_LEAVES_OUT = (
     "errors of the gains (they scale a joint's parameters as a whole), loads and kinematics; "
-    "friction of another form; bias by noise in the regressor and by filters, which smear "
-    "reversals; what all series have in common, such as temperature; correlation between joints"
+    "friction that the model does not describe; bias by noise in the regressor and by filters, "
+    "which smear reversals; effects common to all series, such as temperature; correlation "
+    "between joints"
 )
 
 
 class WlsEstimator(RobotEstimator):
-    """A regressor in the torque domain times coefficients.
+    """Base class of models whose torque is a regressor times coefficients.
 
     Attributes:
-        parameter_names_: Length p.
-        coefficients_: (p,) in SI.
-        std_error_: (p,) standard errors, see `STD_ERROR_GIVEN` and `STD_ERROR_LEAVES_OUT`.
-        correlated_samples_: (n,) how many successive samples of a joint count as one in
-            `std_error_`, 1 for independent ones; see `hil.estimators.covariance`.
-        condition_: Condition number of the column-scaled, weighted regressor.
+        parameter_names_: Names of the p coefficients.
+        coefficients_: (p,) coefficients in SI units.
+        std_error_: (p,) standard errors of the coefficients; the texts `STD_ERROR_GIVEN` and
+            `STD_ERROR_LEAVES_OUT` state their assumptions.
+        correlated_samples_: (n,) number of successive samples of a joint that count as one sample
+            in `std_error_`; 1 for independent samples. The module `hil.estimators.covariance`
+            describes how correlated samples are counted.
+        condition_: Condition number of the weighted regressor after scaling of its columns.
     """
 
     parameter_names_: tuple[str, ...]
@@ -424,22 +464,26 @@ class WlsEstimator(RobotEstimator):
 
     @abstractmethod
     def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
-        """Named parts of the effort without payload, each (N, n)."""
+        """Return the components of the effort without payload by name, each (N, n)."""
 
     @abstractmethod
     def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-        """Rows of the data, W (N·n, p) sample-major and the target torque (N, n), in order."""
+        """Yield the row range, the regressor W (N·n, p) and the target torque (N, n) of each block.
+
+        The blocks are in the order of time. The rows of the regressor W are sample-major: the n
+        joints of a sample are adjacent.
+        """
 
     @abstractmethod
     def _open(self) -> None:
-        """Set up the regressor for `robot_`; also called when a model file is read."""
+        """Prepare the regressor for `robot_`, before a fit or after a model file has been read."""
 
     def stream(self, payload: Payload | None = None) -> Stream:
-        """A predictor for one sample at a time; it has no memory, so samples stand alone."""
+        """Return a predictor for one sample at a time, without memory of earlier samples."""
         return MemorylessStream(self.robot_.n, self._parts, self._load_effort, payload or Payload())
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """Coefficients, their errors, gains and residual deviations."""
+        """Return coefficients, standard errors, torque scale and residual deviations as arrays."""
         return {
             "coefficients": self.coefficients_,
             "std_error": self.std_error_,
@@ -448,7 +492,7 @@ class WlsEstimator(RobotEstimator):
         }
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Parameter names, how well they were excited, and what their errors mean."""
+        """Return the parameter names, condition number and assumptions of the standard errors."""
         return super().fitted_facts() | {
             "parameter_names": list(self.parameter_names_),
             "condition": self.condition_,
@@ -460,7 +504,7 @@ class WlsEstimator(RobotEstimator):
         }
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fitted attributes from the output of `fitted_arrays` and `fitted_facts`."""
         self._restore_common(arrays, facts)
         self._open()
         self.coefficients_, self.std_error_ = arrays["coefficients"], arrays["std_error"]
@@ -470,40 +514,41 @@ class WlsEstimator(RobotEstimator):
                 f"coefficients: {len(self.coefficients_)} for {len(self.parameter_names_)} names"
             )
         self.condition_ = float(facts["condition"])
-        # Older model files took every sample for independent.
+        # Older versions of hil treated every sample as independent and did not store the count.
         counted = facts.get("std_error", {}).get("correlated_samples", [1.0] * len(self.sigma_))
         self.correlated_samples_ = np.array(counted, dtype=np.float64)
 
     def _solve(self, data: Dataset, *, weighted: bool) -> None:
-        """Fit to the observations, whose target is a torque; sets the fitted attributes."""
+        """Solve the least-squares problem of the observed torques; set the fitted attributes."""
         self._adopt(data, jointwise_least_squares(self._compressed(data), weighted=weighted))
 
     def _compressed(self, data: Dataset) -> JointwiseQR:
-        """All observations, one triangle per joint."""
+        """Return all observations, reduced to one triangular factor per joint."""
         observed = JointwiseQR(data.n_joints)
         for _, W, target in self._observations(data):
             observed.add(W, target)
         return observed
 
     def _adopt(self, data: Dataset, solution: Solution) -> None:
-        """Take over a solution; sets the fitted attributes."""
+        """Set the fitted attributes from a least-squares solution."""
         require_rank(solution.rank, solution.condition, self.parameter_names_, solution.system[0])
         self.coefficients_, self.condition_ = solution.coefficients, solution.condition
         self.sigma_ = solution.sigma / self.torque_scale_
         self._set_uncertainty(data, solution)
 
     def _set_uncertainty(self, data: Dataset, solution: Solution) -> None:
-        """Set `correlated_samples_` and `std_error_`."""
+        """Set the attributes `correlated_samples_` and `std_error_`."""
         residual = self._residual(data, solution.coefficients)
         self.correlated_samples_ = correlated_samples(residual, data.offsets)
-        # (XᵀWX)⁻¹ XᵀW·V·WX (XᵀWX)⁻¹ with V the variance of a joint times its correlation time.
+        # The covariance is (XᵀWX)⁻¹ XᵀW·V·WX (XᵀWX)⁻¹, with V the variance of a joint times its
+        # correlation time in samples.
         X, _, joint = solution.system
         deviation = solution.sigma * np.sqrt(self.correlated_samples_)
         score = X * (solution.weight * deviation)[joint, None]
         self.std_error_ = np.linalg.norm(score @ solution.bread, axis=0)
 
     def _residual(self, data: Dataset, coefficients: FloatArray) -> FloatArray:
-        """(N, n) target less regressor times coefficients (p,)."""
+        """Return (N, n) the target torque minus the product of regressor and coefficients (p,)."""
         residual = np.empty_like(data["q"])
         for rows, W, target in self._observations(data):
             residual[rows] = target - (W @ coefficients).reshape(target.shape)

@@ -1,10 +1,10 @@
-"""What must hold before a fit: one clear error each, with its remedy.
+"""Checks of the data before a fit; each check raises one `FitError` with a remedy.
 
-Every check raises `FitError` with what is missing and how to get it, so that no fit ends in numbers
-that mean nothing: data of another robot, values that are not finite, currents without drive gains,
-joints that never moved, parameters that the data leave open, and efforts that no drive can have
-made (a parser's slip or a flipped bit in a recording that is good otherwise). What can be known
-before a robot moves stands in `Needs`, which a run is checked against too.
+The checks detect data of a different robot, values that are not finite, motor currents without
+drive gains, joints that never moved, parameters that the data do not determine, and efforts that no
+drive can produce, such as a parser error or a flipped bit in an otherwise good recording. `Needs`
+contains the data requirements that can be checked before a robot moves; a planned run is checked
+against `Needs` too.
 """
 
 from __future__ import annotations
@@ -20,23 +20,24 @@ from hil.data import PREPARED, Dataset, require_finite
 from hil.dynamics import RobotModel
 
 NO_EFFORT = 1e-12
-"""Not even the resolution of a sensor, in any unit."""
+"""Effort magnitude that counts as zero; smaller than any sensor resolution in any unit."""
 
 STILL_RAD = 1e-3
-"""A joint whose position spans less than this never moved."""
+"""Position range below which a joint counts as not moved [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What a fit or a study cannot do without.
+    """Minimum data requirements of a fit or a study.
 
-    Stated once: `require` refuses data that have less, and a program is refused before it moves
-    if its recording would have less.
+    The method `Needs.require` raises an error for data that do not meet the requirements. A motion
+    program is refused before the robot moves if its recording would not meet the data requirements.
 
     Attributes:
-        least: Fewest `samples`, `dwells`, `poses` or `trajectories`, by these words.
-        gains: Whether motor currents must come with drive gains.
-        effort: `current` or `torque` if no other effort will do; empty for either.
+        least: Minimum counts of the data, with the keys `samples`, `dwells`, `poses` or
+            `trajectories`.
+        gains: Whether data with motor currents must contain known drive gains.
+        effort: Required effort kind, `current` or `torque`; empty if both are accepted.
     """
 
     least: Mapping[str, int] = field(default_factory=dict)
@@ -44,16 +45,17 @@ class Needs:
     effort: str = ""
 
     def also(self, other: Needs) -> Needs:
-        """Return what both need together."""
+        """Return one set of requirements that includes both sets of requirements."""
         words = {**self.least, **other.least}
         most = {what: max(self.least.get(what, 0), other.least.get(what, 0)) for what in words}
         return Needs(most, self.gains or other.gains, self.effort or other.effort)
 
     def shortages(self, have: Mapping[str, int]) -> list[str]:
-        """Return one message for every amount that is too small; amounts not in `have` pass.
+        """Return one message for every count that is below its minimum.
 
         Args:
-            have: Count by the words of `least`.
+            have: Available counts of the data, with the same keys as `least`. Counts that are
+                missing in `have` are not checked.
         """
         return [
             f"{have[what]} {what} are too few: at least {need} are needed"
@@ -62,10 +64,10 @@ class Needs:
         ]
 
     def require(self, **have: int) -> None:
-        """Raise if an amount is too small.
+        """Raise if an available count is below its required minimum.
 
         Raises:
-            FitError: An amount is too small.
+            FitError: An available count is below its required minimum.
         """
         if short := self.shortages(have):
             raise FitError(
@@ -77,12 +79,12 @@ class Needs:
 def gains_fault(
     effort_kind: str, gains: Sequence[float] | FloatArray | None, joint_names: Sequence[str]
 ) -> tuple[str, str] | None:
-    """Return why efforts cannot be converted to torques, and the remedy; None if they can.
+    """Return why efforts cannot be converted to torques, and the remedy; None if they can be.
 
     Args:
-        effort_kind: `current` or `torque`.
+        effort_kind: Kind of the effort, `current` or `torque`.
         gains: (n,) drive gains [N·m/A]; None or empty if unknown.
-        joint_names: Length n.
+        joint_names: Names of the n joints.
     """
     if effort_kind == "torque":
         return None
@@ -107,10 +109,12 @@ def gains_fault(
 
 
 def torque_scale(dataset: Dataset) -> FloatArray:
-    """(n,) torque per unit of the recorded effort: 1 for torques, the drive gains for currents.
+    """Return (n,) the torque per unit of effort.
+
+    The torque per unit of effort is 1 for torques and the drive gain [N·m/A] for currents.
 
     Raises:
-        FitError: The effort is a current and its drive gains are unknown or cannot be.
+        FitError: The effort is a current and its drive gains are unknown or invalid.
     """
     fault = gains_fault(dataset.effort_kind, dataset.drive_gains, dataset.joint_names)
     if fault is not None:
@@ -121,15 +125,16 @@ def torque_scale(dataset: Dataset) -> FloatArray:
 
 
 def require_robot(dataset: Dataset, robot: RobotModel) -> None:
-    """Refuse data of another robot than the model's.
+    """Raise if the data are of a different robot than the model.
 
     Raises:
-        FitError: The joints differ in number or order, or both name different built-in arms.
+        FitError: Data and model differ in the number or order of their joints, or name different
+            built-in arms.
     """
     if dataset.n_joints != robot.n:
         raise FitError(
             f"the data have {dataset.n_joints} joints, the robot model {robot.name} has {robot.n}",
-            hint="choose the robot model the data were recorded on (--robot)",
+            hint="choose the model of the robot that the data were recorded on (--robot)",
         )
     ours, theirs = dataset.joint_names, tuple(robot.joint_names)
     if set(ours) == set(theirs) and ours != theirs:
@@ -146,9 +151,9 @@ def require_robot(dataset: Dataset, robot: RobotModel) -> None:
 
 
 def require_clean(dataset: Dataset, columns: Sequence[str]) -> None:
-    """Refuse NaN and infinity in the columns a fit uses, and an effort that is 0 throughout.
+    """Raise if a required column contains NaN or infinity, or if the effort is 0 throughout.
 
-    Those of a dataset that was prepared already are looked at too.
+    The filtered columns of a prepared dataset are checked too.
 
     Raises:
         FitError: A value is not finite, or no effort was measured.
@@ -162,19 +167,20 @@ def require_clean(dataset: Dataset, columns: Sequence[str]) -> None:
     if "effort" in columns and len(dataset) and not np.any(np.abs(dataset["effort"]) > NO_EFFORT):
         raise FitError(
             "the effort is 0 in every row and joint, so none was measured",
-            hint="look at the columns of `effort` in the import map, or at what the driver reads",
+            hint="check the columns of `effort` in the import map, or the quantity that the "
+            "driver reads",
         )
 
 
 def require_motion(dataset: Dataset, joints: Sequence[int] | None = None) -> None:
-    """Refuse data in which a joint stands still from beginning to end.
+    """Raise if a joint does not move during the whole dataset.
 
     Args:
-        dataset: At least one row.
-        joints: Those that have to move, from 0; all by default.
+        dataset: Dataset with at least one row.
+        joints: Indices of the joints that must move, from 0; all joints by default.
 
     Raises:
-        FitError: A joint never moved.
+        FitError: The position of a joint never changed.
     """
     q = dataset["q"]
     chosen = range(dataset.n_joints) if joints is None else joints
@@ -182,27 +188,28 @@ def require_motion(dataset: Dataset, joints: Sequence[int] | None = None) -> Non
     if still:
         names = ", ".join(dataset.joint_names[j] for j in still)
         raise FitError(
-            f"{names} never moved in the training data, so its parameters cannot be told apart",
+            f"{names} never moved in the training data, so the parameters cannot be separated",
             hint="add a recording in which every joint moves",
         )
 
 
 def require_varied(change: FloatArray, span: FloatArray, names: Sequence[str]) -> None:
-    """Refuse columns of a regressor that are the same at every pose.
+    """Raise if a column of the regressor has the same value at every pose.
 
     Args:
-        change: (p,) by how much each column changes over the data.
-        span: (p,) by how much it can change.
-        names: Length p.
+        change: (p,) observed change of each regressor column over the data.
+        span: (p,) largest possible change of each regressor column.
+        names: Names of the p parameters.
 
     Raises:
-        FitError: A column is constant, so its parameter cannot be told from the offset.
+        FitError: A regressor column is constant, so its parameter cannot be separated from the
+            offset.
     """
     constant = [name for name, c, s in zip(names, change, span, strict=True) if c <= STILL_RAD * s]
     if constant:
         raise FitError(
             f"the regressor of {', '.join(constant[:3])} is the same at every pose, so the "
-            "parameter cannot be told from the offset",
+            "parameter cannot be separated from the offset",
             hint="record poses that differ in more joints, and not all by the same angles",
         )
 
@@ -210,17 +217,17 @@ def require_varied(change: FloatArray, span: FloatArray, names: Sequence[str]) -
 def require_rank(
     rank: int, condition: float, names: Sequence[str], regressor: FloatArray, highest: float = 1e7
 ) -> None:
-    """Refuse data that leave parameters undetermined, naming those worst off.
+    """Raise if the data leave parameters undetermined; the message names the least determined ones.
 
     Args:
-        rank: Excited directions.
+        rank: Number of parameter directions that the data excite.
         condition: Condition number of the column-scaled regressor.
-        names: Parameter names, length p.
-        regressor: Any matrix (m, p) with the regressor's Gram matrix.
-        highest: Condition number above which a direction counts as not excited.
+        names: Names of the p parameters.
+        regressor: Matrix (m, p) with the same Gram matrix as the regressor.
+        highest: Condition number above which a parameter direction counts as not excited.
 
     Raises:
-        FitError: The rank is short or the condition number too high.
+        FitError: The rank is below p, or the condition number is too high.
     """
     if rank == len(names) and condition <= highest:
         return
@@ -238,14 +245,14 @@ def require_rank(
 
 
 def require_sizes(model: object, **sizes: int) -> None:
-    """Refuse fitted arrays of another size than the model needs; for reading model files.
+    """Raise if a fitted array from a model file has the wrong number of values.
 
     Args:
-        model: Has an attribute with a `_` behind each name.
-        **sizes: Name → values there must be.
+        model: Fitted model with an attribute for each name in `sizes`, followed by `_`.
+        **sizes: Required number of values by attribute name, without the final `_`.
 
     Raises:
-        ValueError: An array has another size; the message names it.
+        ValueError: An array has the wrong number of values; the message names the array.
     """
     for name, size in sizes.items():
         have = np.size(getattr(model, f"{name}_"))
@@ -254,37 +261,43 @@ def require_sizes(model: object, **sizes: int) -> None:
 
 
 TIMES_LIMIT = 10.0
-"""Beyond this multiple of a joint's torque limit nothing is measured, not even in a collision."""
+"""Multiple of a joint's torque limit that no real effort exceeds, even in a collision."""
 
 DEVIATIONS = 20.0
-"""An outlier lies this many robust deviations from the median; efforts in another unit, such as
-milliamperes, are all too large together and not for this check."""
+"""Minimum distance of an outlier from the median, in robust standard deviations.
+
+The outlier check does not detect efforts in a wrong unit, such as milliamperes, because all of them
+are too large together.
+"""
 
 LEAST_GAIN = 0.1
-"""Torque per current [N·m/A] behind the gear where none is declared: less is hardly built."""
+"""Lower bound of a drive gain behind the gear [N·m/A], used if no gain is declared."""
 
 UNKNOWN_LIMIT_NM = 1e4
-"""For models that declare no torque limit: more than any joint's of an arm."""
+"""Assumed torque limit [N·m] of joints without a declared limit; above that of any real arm."""
 
 IMPOSSIBLE = {
     **{"q": 1e6, "qd": 1e6, "effort": 1e12},
     **dict(zip(PREPARED, (1e6, 1e6, 1e9, 1e12), strict=True)),
 }
-"""Beyond this nothing is a position [rad], velocity [rad/s], acceleration [rad/s²] or effort, in
-whatever unit."""
+"""Largest physically possible magnitude of each recorded column.
+
+Positions are in rad, velocities in rad/s, accelerations in rad/s² and efforts in any unit.
+"""
 
 NORMAL = 1.4826
-"""Standard deviation of a normal distribution per median absolute deviation."""
+"""Ratio of standard deviation to median absolute deviation for a normal distribution."""
 
 
 def require_plausible(dataset: Dataset, robot: RobotModel) -> None:
-    """Refuse recordings in which some samples of the effort cannot be.
+    """Raise if some effort samples of a recording are physically impossible.
 
-    One of them moves every parameter of a fit by least squares, and nothing else would tell.
+    A single impossible sample changes every parameter of a least-squares fit, and no other check
+    detects such a sample.
 
     Raises:
-        FitError: A joint's effort is beyond ten times its limit and far off all others, or a
-            position, velocity or effort is beyond everything.
+        FitError: The effort of a joint exceeds ten times its limit and is far from all other
+            samples, or a position, velocity or effort exceeds its physically possible range.
     """
     _require_possible(dataset)
     effort = dataset["effort"]
@@ -297,9 +310,9 @@ def require_plausible(dataset: Dataset, robot: RobotModel) -> None:
         if len(bad):
             series = dataset.conditions[int(dataset.series_index()[bad[0]])]
             raise FitError(
-                f"{len(bad)} sample(s) of the effort of {dataset.joint_names[joint]} cannot be: "
-                f"the first, {own[bad[0]]:.3g} {dataset.effort_unit} in series {series.id}, is "
-                f"beyond {TIMES_LIMIT:g} times what the joint can make",
+                f"{len(bad)} effort sample(s) of {dataset.joint_names[joint]} are impossible: the "
+                f"first, {own[bad[0]]:.3g} {dataset.effort_unit} in series {series.id}, exceeds "
+                f"{TIMES_LIMIT:g} times the maximum effort of the joint",
                 hint="leave the series out; for an imported file give the effort a `limit` in the "
                 "import map and import it with --drop-bad-rows",
             )
@@ -309,19 +322,19 @@ def _require_possible(dataset: Dataset) -> None:
     for name, most in IMPOSSIBLE.items():
         if name not in dataset.columns:
             continue
-        # `require_clean` reports what is not finite.
+        # `require_clean` reports values that are not finite.
         values = np.abs(dataset[name])
         for row, joint in np.argwhere(np.isfinite(values) & (values > most))[:1]:
             series = dataset.conditions[int(dataset.series_index()[row])]
             raise FitError(
-                f"{name} of {dataset.joint_names[joint]} cannot be {dataset[name][row, joint]:.3g} "
-                f"(row {row + 1}, series {series.id})",
-                hint="look at the columns and units of the import map, or leave the series out",
+                f"{name} of {dataset.joint_names[joint]} has the impossible value "
+                f"{dataset[name][row, joint]:.3g} (row {row + 1}, series {series.id})",
+                hint="check the columns and units of the import map, or leave the series out",
             )
 
 
 def _limit(dataset: Dataset, robot: RobotModel) -> FloatArray:
-    """(n,) largest effort of each joint, in the unit of the data."""
+    """Return (n,) the effort limit of each joint, in the effort unit of the data."""
     known = np.isfinite(robot.effort_max) & (robot.effort_max > 0)
     torque = np.where(known, robot.effort_max, UNKNOWN_LIMIT_NM)
     if dataset.effort_kind == "torque":

@@ -1,14 +1,15 @@
-"""How far off a prediction may be: split-conformal bands per joint and speed range.
+"""Split-conformal prediction bands per joint and speed range.
 
-The bands are quantiles of errors that a model made where it had not learned, so they need no
-assumption about those errors but one: that the motions to come are like those of the calibration.
-A joint errs most where it hardly moves, because friction is known least there; bands that do not
-depend on speed would be too wide for most of a motion and too narrow for its reversals. Each joint
-therefore has ranges of speed, standstill being the first.
+The bands are quantiles of the prediction errors of a model on data that were not used in the fit.
+The bands require one assumption only: future motions are like the motions of the calibration data.
+A model predicts the effort of a joint worst at low speed, because friction is least known at low
+speed. Bands independent of speed would be too wide for most of a motion and too narrow at
+reversals. Each joint therefore has several speed ranges; the first range is standstill.
 
-Samples of a trajectory resemble each other, so ten thousand samples of nine trajectories are not
-ten thousand observations. Trajectories may be exchanged for each other; samples may not. What that
-leaves of the guarantee is said in `conformal_quantile` and in docs/explanation/uncertainty.md.
+Samples of a trajectory are correlated, so ten thousand samples of nine trajectories are not ten
+thousand independent observations. Trajectories can be exchanged with each other, which the method
+requires, whereas single samples cannot. `conformal_quantile` and docs/explanation/uncertainty.md
+describe which coverage the bands still guarantee.
 """
 
 from __future__ import annotations
@@ -23,23 +24,23 @@ from hil.core import BoolArray, FitError, FloatArray, IntArray, SpecError
 from hil.estimators.parameters import number, whole
 
 STANDSTILL = 0.01
-"""Up to this speed [rad/s] a joint counts as standing: the width of the sign of all methods."""
+"""Speed up to which a joint counts as static [rad/s]; equal to the default sign width."""
 
 LEAST_SAMPLES = 100
-"""A range with fewer samples takes those of its neighbours with it."""
+"""Minimum number of samples of a speed range; smaller ranges also use neighbouring samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedBands:
-    """A half width per joint and speed range.
+    """Half width of the prediction band for each joint and speed range.
 
     Attributes:
-        asked: Share of samples that the bands are to hold.
-        edges: (n, R − 1) speeds where one range ends and the next begins [rad/s], the first range
-            being standstill and the last unlimited.
-        half_widths: (n, R) in the unit of the errors.
-        guaranteed: (n, R) share of the samples of a new trajectory that is proven to lie within
-            the band on average, given that trajectories can be exchanged for each other.
+        asked: Requested share of samples inside the bands.
+        edges: (n, R − 1) speeds between adjacent ranges [rad/s]; the first range is standstill, the
+            last range is unlimited.
+        half_widths: (n, R) half widths in the unit of the errors.
+        guaranteed: (n, R) share of the samples of a new trajectory that lie inside the band on
+            average, guaranteed if trajectories are exchangeable.
     """
 
     asked: float
@@ -59,21 +60,24 @@ class SpeedBands:
         standstill: float = STANDSTILL,
         strict: bool = False,
     ) -> SpeedBands:
-        """From errors on data that the model has not learned from.
+        """Return the bands computed from prediction errors on data that were not used in the fit.
 
         Args:
-            errors: (N, n) measured minus predicted; NaN where a joint's does not count.
+            errors: (N, n) measured minus predicted efforts; NaN for samples to be ignored.
             speeds: (N, n) velocities [rad/s].
-            blocks: (N,) number of the trajectory of each row.
-            coverage: Share of samples within the bands, above 0 and below 1.
-            ranges: Speed ranges, standstill included. The others have equally many samples.
-            standstill: Up to this speed a joint stands [rad/s].
-            strict: Let the proven share be the coverage asked for: wider, and out of reach with
-                fewer than coverage/(1 − coverage) trajectories, when the largest error is taken.
+            blocks: (N,) index of the trajectory to which each row belongs.
+            coverage: Share of samples inside the bands, above 0 and below 1.
+            ranges: Number of speed ranges including standstill. All speed ranges except standstill
+                have the same number of samples.
+            standstill: Speed up to which a joint counts as static [rad/s].
+            strict: Whether the guaranteed share of samples inside the bands equals `coverage`.
+                Strict bands are wider than the default bands. If there are fewer than coverage/(1 −
+                coverage) trajectories, the strict guarantee is impossible, and the largest error
+                defines the band.
 
         Raises:
             SpecError: A parameter is out of its range.
-            FitError: A joint has no error that counts, or the arrays do not go together.
+            FitError: A joint has no finite error, or the shapes of the arrays do not match.
         """
         _require_coverage(coverage)
         whole("ranges", ranges, at_least=1)
@@ -91,31 +95,33 @@ class SpeedBands:
         return cls(coverage, np.array(edges), pairs[..., 0].copy(), pairs[..., 1].copy())
 
     def half_width(self, qd: FloatArray) -> FloatArray:
-        """(N, n) half width of the band at velocities (N, n) or (n,); NaN where that is NaN."""
+        """Return (N, n) the half width of the band for velocities (N, n) or (n,); NaN for NaN."""
         speed = np.abs(qd)
         joints = np.arange(len(self.edges))
         width = self.half_widths[joints, range_numbers(speed, self.edges)]
         return np.where(np.isfinite(speed), width, np.nan)
 
     def deviation(self, qd: FloatArray) -> FloatArray:
-        """(N, n) the standard deviation a normal error would have within such a band."""
+        """Return (N, n) the standard deviation of normal errors that have this band."""
         return self.half_width(qd) / NormalDist().inv_cdf(0.5 + 0.5 * self.asked)
 
     def coverage(self, errors: FloatArray, speeds: FloatArray, blocks: IntArray) -> BandCoverage:
-        """What the bands hold of errors (N, n) at speeds (N, n), blocks (N,) being trajectories.
+        """Return the coverage of errors (N, n) at speeds (N, n), with trajectory numbers (N,).
 
         Raises:
-            FitError: A joint has no error that counts, or the arrays do not go together.
+            FitError: A joint has no finite error, or the shapes of the arrays do not match.
         """
         usable = _usable(errors, speeds, blocks)
         if errors.shape[1] != len(self.edges):
-            raise FitError(f"errors of {errors.shape[1]} joints, bands of {len(self.edges)}")
+            raise FitError(
+                f"the errors are for {errors.shape[1]} joints, the bands for {len(self.edges)}"
+            )
         inside = np.abs(errors) <= self.half_width(speeds)
         where = range_numbers(np.abs(speeds), self.edges)
         return BandCoverage.of(inside, usable, where, self.half_widths, blocks, self.asked)
 
     def to_arrays(self) -> dict[str, FloatArray]:
-        """For a model file."""
+        """Return the bands as arrays for a model file."""
         return {
             "bands_coverage": np.array([self.asked]),
             "bands_edges": self.edges,
@@ -125,25 +131,30 @@ class SpeedBands:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, FloatArray]) -> SpeedBands:
-        """What `to_arrays` wrote.
+        """Return the bands from the output of `to_arrays`.
 
         Raises:
-            KeyError: One is missing.
-            ValueError: They do not go together, or hold what cannot be.
+            KeyError: An array is missing.
+            ValueError: Shapes do not match, or values are invalid.
         """
         names = ("coverage", "edges", "half_widths", "guaranteed")
         coverage, edges, half_widths, guaranteed = (arrays[f"bands_{name}"] for name in names)
         bands = cls(float(coverage.item()), edges, half_widths, guaranteed)
-        bands._require_sound()
+        bands._require_valid()
         return bands
 
-    def _require_sound(self) -> None:
-        """Raise ValueError for what `calibrate` cannot have made."""
+    def _require_valid(self) -> None:
+        """Raise ValueError if the bands have shapes or values that `calibrate` cannot return."""
         if self.half_widths.ndim != 2 or self.guaranteed.shape != self.half_widths.shape:
-            raise ValueError(f"bands: {self.half_widths.shape} and {self.guaranteed.shape}")
+            raise ValueError(
+                f"bands: half_widths has the shape {self.half_widths.shape}, "
+                f"guaranteed {self.guaranteed.shape}"
+            )
         n, ranges = self.half_widths.shape
         if self.edges.shape != (n, ranges - 1) or not 0.0 < self.asked < 1.0:
-            raise ValueError(f"bands: {self.edges.shape} edges, coverage {self.asked}")
+            raise ValueError(
+                f"bands: edges has the shape {self.edges.shape}, coverage is {self.asked}"
+            )
         for name in ("edges", "half_widths", "guaranteed"):
             values = getattr(self, name)
             if not np.all(np.isfinite(values)) or np.any(values < 0.0):
@@ -155,24 +166,22 @@ class SpeedBands:
 def _require_coverage(coverage: float) -> None:
     number("coverage", coverage, above=0.0)
     if coverage >= 1.0:
-        raise SpecError(
-            f"coverage is {coverage:g}, but must be below 1", hint="say 0.9 for nine in ten"
-        )
+        raise SpecError(f"coverage is {coverage:g}, but must be below 1", hint="for 90 %, pass 0.9")
 
 
 def _usable(errors: FloatArray, speeds: FloatArray, blocks: IntArray) -> BoolArray:
-    """(N, n) which errors count."""
+    """Return (N, n) a mask of the finite errors with finite speeds."""
     if errors.ndim != 2 or speeds.shape != errors.shape or blocks.shape != errors.shape[:1]:
         raise FitError(
-            f"errors {errors.shape}, speeds {speeds.shape} and trajectories {blocks.shape} do not "
-            "go together",
-            hint="give (N, n), (N, n) and (N,)",
+            f"the shapes of errors {errors.shape}, speeds {speeds.shape} and trajectories "
+            f"{blocks.shape} do not match",
+            hint="pass the shapes (N, n), (N, n) and (N,)",
         )
     usable: BoolArray = np.isfinite(errors) & np.isfinite(speeds)
     for joint in np.flatnonzero(~usable.any(axis=0)):
         raise FitError(
             f"joint {joint + 1} of {errors.shape[1]} has no finite error to calibrate a band with",
-            hint="hold out a trajectory where the model is valid",
+            hint="hold out a trajectory on which the model is valid",
         )
     return usable
 
@@ -181,7 +190,7 @@ def _bands(
     sizes: FloatArray, speeds: FloatArray, blocks: IntArray, edges: FloatArray,
     coverage: float, strict: bool,
 ) -> list[tuple[float, float]]:  # fmt: skip
-    """Half width and what is guaranteed of it, for each range of one joint."""
+    """Return the half width and the guaranteed share for each speed range of one joint."""
     where = range_numbers(speeds[:, None], edges[None])[:, 0]
     bands = []
     for chosen in range(len(edges) + 1):
@@ -192,12 +201,14 @@ def _bands(
 
 
 def speed_edges(speeds: FloatArray, ranges: int, standstill: float) -> FloatArray:
-    """(ranges − 1,) speeds where ranges meet: standstill, then equally many samples in each.
+    """Return (ranges − 1,) the speeds between ranges: the standstill limit, followed by quantiles.
+
+    All speed ranges above standstill contain the same number of samples.
 
     Args:
         speeds: (N,) magnitudes of one joint's velocity [rad/s].
-        ranges: How many, standstill included.
-        standstill: Where the first ends [rad/s].
+        ranges: Number of speed ranges, including standstill.
+        standstill: Upper speed limit of the first range [rad/s].
     """
     moving = speeds[speeds > standstill]
     if ranges < 2 or len(moving) == 0:
@@ -207,23 +218,27 @@ def speed_edges(speeds: FloatArray, ranges: int, standstill: float) -> FloatArra
 
 
 def range_numbers(speeds: FloatArray, edges: FloatArray) -> IntArray:
-    """(N, n) or (n,) number of the range of each speed; an edge belongs to the range below it."""
+    """Return the range index of each speed, (N, n) or (n,).
+
+    A speed at an edge belongs to the range below the edge.
+    """
     return np.asarray((speeds[..., None] > edges).sum(axis=-1), dtype=np.int64)
 
 
 def window_of(
     chosen: int, where: IntArray, blocks: IntArray, ranges: int, least: int
 ) -> tuple[int, int]:
-    """First and last of the ranges around `chosen` that hold enough samples together.
+    """Return the first and last speed range around `chosen` that together have enough samples.
 
-    Enough are `least` samples of at least half of the trajectories, or all there are.
+    A window of ranges is large enough if at least half of the trajectories contribute at least
+    `least` samples to it in total. If no window of ranges is large enough, all ranges are returned.
 
     Args:
-        chosen: The range in question.
-        where: (N,) range of each sample.
-        blocks: (N,) trajectory of each.
-        ranges: How many there are.
-        least: Samples.
+        chosen: Index of the speed range at the centre of the window.
+        where: (N,) index of the speed range of each sample.
+        blocks: (N,) index of the trajectory to which each sample belongs.
+        ranges: Number of speed ranges in total.
+        least: Minimum number of samples in the window.
     """
     most = len(np.unique(blocks))
     for reach in range(ranges):
@@ -237,19 +252,21 @@ def window_of(
 def conformal_quantile(
     sizes: FloatArray, blocks: IntArray, coverage: float, *, strict: bool = False
 ) -> tuple[float, float]:
-    """A bound for the next trajectory, and the share of its samples that it is proven to hold.
+    """Return an error bound for the next trajectory, and the guaranteed share of its samples.
 
-    With equal weights of K trajectories the quantile at level p holds at least p·K/(K + 1) of a
-    new one on average, however its samples depend on each other (hierarchical conformal
-    prediction: Lee, Barber & Willett 2023). `strict` raises the level until that is the coverage
-    asked for. Without, the level is raised by the effective number of samples in place of K: the
-    same where all samples of a trajectory are alike, next to nothing where they are independent.
+    If K trajectories have equal weights, the quantile at level p contains on average at least
+    p·K/(K + 1) of a new trajectory, for any correlation of its samples (hierarchical conformal
+    prediction: Lee, Barber & Willett 2023). With `strict`, the quantile level is increased until
+    the guaranteed share is the requested coverage. Without `strict`, the effective number of
+    samples replaces K in this increase. If all samples of a trajectory are equal, `strict` does not
+    change the bound. If the samples are independent, the increase of the quantile level without
+    `strict` is negligible.
 
     Args:
         sizes: (N,) magnitudes of errors, N > 0.
-        blocks: (N,) trajectory of each.
-        coverage: Share asked for.
-        strict: As above.
+        blocks: (N,) index of the trajectory to which each error belongs.
+        coverage: Requested share of the samples inside the bands.
+        strict: Whether to guarantee the requested share.
     """
     numbers, count = block_numbers(blocks)
     weights = block_weights(numbers, count)
@@ -262,25 +279,26 @@ def conformal_quantile(
 
 
 def level_for(coverage: float, size: float) -> float:
-    """Level of the quantile of `size` observations that covers the next with `coverage`.
+    """Return the quantile level of `size` observations that covers the next observation.
 
-    Above 1 there are too few of them for that.
+    A level above 1 means that there are too few observations.
     """
     return coverage * (size + 1.0) / size
 
 
 def effective_samples(outside: BoolArray, numbers: IntArray, count: int) -> float:
-    """How many independent samples would estimate the share outside as well as these do.
+    """Return the number of independent samples that contain as much information.
 
-    If the share outside varied by chance alone, its variance among trajectories would be that of
-    a binomial; the ratio of the two is the design effect of cluster samples (Kish 1965). At least
-    the number of blocks, at most that of samples; of a single block, which cannot say, the
-    former.
+    If the samples were independent, the share outside the bands would vary between trajectories
+    with the variance of a binomial distribution. The ratio of the actual variance between
+    trajectories to the binomial variance is the design effect of cluster samples (Kish 1965). The
+    effective number of samples is at least the number of blocks and at most the number of samples.
+    A single block gives 1.
 
     Args:
-        outside: (N,) which samples are outside.
-        numbers: (N,) block of each.
-        count: Blocks.
+        outside: (N,) mask of the samples outside the bands.
+        numbers: (N,) block index of each sample.
+        count: Total number of blocks.
     """
     if count < 2:
         return float(count)
@@ -295,9 +313,9 @@ ROUNDING = 1e-9
 
 
 def weighted_quantile(values: FloatArray, weights: FloatArray, level: float) -> float:
-    """Least of the values that at least the share `level` of the weight does not exceed.
+    """Return the smallest value whose cumulative weight is at least `level`.
 
-    A level of 1 or more gives the largest value.
+    A level of 1 or more returns the largest value.
     """
     order = np.argsort(values)
     reached = np.cumsum(weights[order])
@@ -306,13 +324,13 @@ def weighted_quantile(values: FloatArray, weights: FloatArray, level: float) -> 
 
 
 def block_numbers(blocks: IntArray) -> tuple[IntArray, int]:
-    """(N,) number of each row's block from 0, and how many there are."""
+    """Return (N,) the index of each row's block from 0, and the number of blocks."""
     names, numbers = np.unique(blocks, return_inverse=True)
     return numbers, len(names)
 
 
 def block_weights(numbers: IntArray, count: int) -> FloatArray:
-    """(N,) weights that add up to 1, every block having the same share."""
+    """Return (N,) weights with sum 1 that give every block the same total weight."""
     sizes = np.bincount(numbers, minlength=count)
     weights: FloatArray = 1.0 / (count * sizes[numbers])
     return weights
@@ -320,15 +338,15 @@ def block_weights(numbers: IntArray, count: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class BandCoverage:
-    """Shares of samples within the bands.
+    """Observed share of samples inside the bands.
 
     Attributes:
-        asked: What the bands were made for.
-        share: (n,) mean over trajectories: what `asked` is to be compared with.
-        by_range: (n, R) share in each speed range, NaN where there are no samples.
-        worst: (n,) least of any trajectory.
-        mean_half_width: (n,) in the unit of the errors.
-        trajectories: How many there were.
+        asked: Requested share of samples inside the bands.
+        share: (n,) mean observed share over trajectories, to be compared with `asked`.
+        by_range: (n, R) observed share in each speed range; NaN for a range without samples.
+        worst: (n,) observed share in the trajectory with the smallest share.
+        mean_half_width: (n,) mean half width of the bands, in the unit of the errors.
+        trajectories: Number of trajectories that were evaluated.
     """
 
     asked: float
@@ -348,15 +366,15 @@ class BandCoverage:
         blocks: IntArray,
         asked: float,
     ) -> BandCoverage:
-        """Count.
+        """Return the observed shares of samples inside the bands.
 
         Args:
-            inside: (N, n) which errors lie within their band.
-            usable: (N, n) which count at all.
-            where: (N, n) speed range of each.
-            half_widths: (n, R) of the bands.
-            blocks: (N,) trajectory of each row.
-            asked: Share that the bands were made for.
+            inside: (N, n) mask of the errors inside their band.
+            usable: (N, n) mask of the errors that are counted.
+            where: (N, n) index of the speed range of each error.
+            half_widths: (n, R) half widths of the bands.
+            blocks: (N,) index of the trajectory to which each row belongs.
+            asked: Requested share of samples inside the bands.
         """
         n, ranges = half_widths.shape
         share, worst, width, by_range = np.empty(n), np.empty(n), np.empty(n), np.empty((n, ranges))
@@ -372,7 +390,7 @@ class BandCoverage:
         return cls(asked, share, by_range, worst, width, len(np.unique(blocks)))
 
     def line(self) -> str:
-        """One line to read."""
+        """Return a summary of the coverage in one line."""
         return (
             f"{100.0 * self.share.mean():.1f} % of the samples of {self.trajectories} trajectories "
             f"lie within bands made for {100.0 * self.asked:g} % (worst joint "
@@ -380,7 +398,7 @@ class BandCoverage:
         )
 
     def facts(self) -> dict[str, object]:
-        """For a model file or a report."""
+        """Return the coverage as entries for a model file or a report."""
         return {
             "asked": self.asked,
             "share": self.share.tolist(),

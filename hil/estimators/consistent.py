@@ -1,14 +1,16 @@
-"""Least squares over parameters of a robot that can exist.
+"""Least squares under the constraint that all links are physically consistent.
 
-Sousa & Cortesão (IJRR 2014; IEEE/ASME T-Mech 2019): base parameters are B φ of full parameters φ,
-and every link's pseudo-inertia must be positive definite, which is a semidefinite program. Links
-are bounded by `inertial_bounds`: a mass limit, and a box their mass lies in. A body in lo ≤ x ≤ hi
-obeys ∫(x − lo)(hi − x) dm ≥ 0, linear in φ; it bounds the second moment and with it the centre of
-mass (after Wensing, Kim & Slotine, RA-L 2018, who use ellipsoids).
+Base parameters are a linear function B φ of the full parameters φ, and the pseudo-inertia of every
+link must be positive definite, so the problem is a semidefinite program (Sousa & Cortesão, IJRR
+2014; IEEE/ASME T-Mech 2019). `inertial_bounds` defines a mass limit and a bounding box for each
+link. A body in lo ≤ x ≤ hi satisfies ∫(x − lo)(hi − x) dm ≥ 0, which is linear in φ and bounds the
+second moment and thereby the centre of mass (after Wensing, Kim & Slotine, RA-L 2018, who use
+ellipsoids).
 
-It is solved in coordinates S = C⁻¹ J C⁻ᵀ (`ReferenceCoordinates`), where C Cᵀ is the pseudo-inertia
-of the reference body: all links then have entries around 1, and ‖S − 1‖² is, to second order, the
-geometric distance from the reference (Lee, Wensing & Park, T-RO 2020), free of units and frames.
+The problem is solved in coordinates S = C⁻¹ J C⁻ᵀ (`ReferenceCoordinates`), with C Cᵀ the
+pseudo-inertia of the reference body. The entries of S are then of order 1 for all links. ‖S − 1‖²
+is to second order the geometric distance from the reference, independent of units and frames (Lee,
+Wensing & Park, T-RO 2020).
 """
 
 from __future__ import annotations
@@ -26,25 +28,25 @@ from hil.estimators.inertial_bounds import InertialBounds
 from hil.estimators.least_squares import upper_triangle
 
 LEAST = 1e-3
-"""Least eigenvalue of S: no link is thinner, in any direction, than this share of its reference."""
+"""Smallest eigenvalue of S: minimum thickness of a link relative to its reference body."""
 
 FAINT = 1e-6
-"""Smallest prior on the bodies, so that the solution is unique."""
+"""Minimum weight of the prior on the bodies, which makes the solution unique."""
 
 LONGEST = 1e4
-"""The target is scaled down to this length at most: noise-free data weigh 1e12."""
+"""Norm to which longer target vectors are scaled; weights of noise-free data can reach 1e12."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Consistent:
-    """Parameters of a robot that can exist.
+    """Physically consistent parameters of a robot.
 
     Attributes:
-        inertial: (11n,) in the order of `RobotModel.parameters(rotor=True)`.
-        extra: (k,) coefficients of the columns behind the base parameters'.
+        inertial: (11n,) full parameters in the order of `RobotModel.parameters(rotor=True)`.
+        extra: (k,) coefficients of the regressor columns that follow the base parameters.
         base: (b,) base parameters of `inertial`.
-        excess: By how much the sum of squares grew over the unconstrained one.
-        least_eigenvalue: Smallest eigenvalue of any link's S; positive, 1 at the reference.
+        excess: Increase of the sum of squares compared with the unconstrained solution.
+        least_eigenvalue: Smallest eigenvalue of S over all links; positive, 1 for the reference.
     """
 
     inertial: FloatArray
@@ -55,12 +57,12 @@ class Consistent:
 
     @property
     def coefficients(self) -> FloatArray:
-        """(b + k,) base parameters, then the extra ones."""
+        """Base parameters followed by the extra coefficients (b + k,)."""
         return np.concatenate([self.base, self.extra])
 
 
-IDENTIFY = {"identify": "for links that can exist"}
-"""`RobotEstimator.extras` of whatever calls `consistent_least_squares` in a fit."""
+IDENTIFY = {"identify": "for physically consistent links"}
+"""Value of `RobotEstimator.extras` for estimators that use `consistent_least_squares`."""
 
 
 def consistent_least_squares(
@@ -72,18 +74,20 @@ def consistent_least_squares(
     nonnegative: Sequence[int] = (),
     prior: float | None = None,
 ) -> Consistent:
-    """Minimise ‖X [Bφ, e] − y‖² + prior Σ‖Sᵢ − 1‖² over links that can exist and rotors ≥ 0.
+    """Minimise ‖X [Bφ, e] − y‖² + prior Σ‖Sᵢ − 1‖² over consistent links and rotors ≥ 0.
 
     Args:
-        X: (m, b + k) rows weighted by 1/σ; the first b columns multiply base parameters, the k
-            others are extra (friction) columns. Compressed rows (`JointwiseQR`) cost least.
-        y: (m,) target, weighted alike.
-        base: Base parameters of the robot, rotor inertias included.
-        bounds: Of its links.
-        nonnegative: Which of the extra coefficients, from 0, cannot be below 0.
-        prior: Weight of the distance from the reference bodies: with rows in standard deviations,
-            1 counts a link's being off by 100 % like one more sample. None is next to nothing:
-            directions that no torque shows are then held by the bounds.
+        X: (m, b + k) rows weighted by 1/σ. The first b columns of X multiply base parameters; the
+            other k columns are extra (friction) columns. The computation is fastest for compressed
+            rows (`JointwiseQR`).
+        y: (m,) target, multiplied by the same weights as X.
+        base: Base parameters of the robot, including rotor inertias.
+        bounds: Bounds on the inertial parameters of the links.
+        nonnegative: Indices of extra coefficients, from 0, that must be at least 0.
+        prior: Weight of the distance of the links from the reference bodies. If the rows of X are
+            in standard deviations, a prior weight of 1 makes a link deviation of 100 % count like
+            one sample. None stands for a prior weight near zero; the bounds then determine those
+            directions on which no torque depends.
 
     Raises:
         FitError: The solver found no solution.
@@ -118,9 +122,10 @@ def consistent_least_squares(
 
 
 def _lengths(A: FloatArray, bodies: int) -> FloatArray:
-    """Divisors of the columns that make rotors and friction count like bodies.
+    """Return the column divisors that give rotors and friction the same scale as bodies.
 
-    Bodies stay as they are: their coordinates are of order 1, and their cone must keep its form.
+    The columns of bodies are not scaled: their coordinates are of order 1, and scaling would change
+    the shape of their cone.
     """
     norms = np.linalg.norm(A, axis=0)
     like = float(norms[:bodies].max())
@@ -132,7 +137,7 @@ def _lengths(A: FloatArray, bodies: int) -> FloatArray:
 def _minimum(
     A: FloatArray, b: FloatArray, space: ReferenceCoordinates, positive: Sequence[int]
 ) -> FloatArray:
-    """Argmin ‖A z − b‖² over consistent links and z ≥ 0 where `positive`."""
+    """Return the minimiser of ‖A z − b‖² with consistent links and z ≥ 0 at `positive`."""
     cp = _cvxpy()
     z = cp.Variable(A.shape[1])
     inside = space.limits @ z[: space.bodies] <= space.room
@@ -144,7 +149,8 @@ def _minimum(
     problem = cp.Problem(cp.Minimize(cp.sum_squares(A @ z - b)), constraints)
     try:
         with warnings.catch_warnings():
-            # "Solution may be inaccurate": the caller draws it inside the bounds.
+            # The warning "Solution may be inaccurate" is ignored, because the caller moves the
+            # solution inside the bounds.
             warnings.simplefilter("ignore")
             problem.solve(solver=cp.CLARABEL)
     except cp.error.SolverError as error:
@@ -167,7 +173,7 @@ def _cvxpy() -> Any:
 def _unsolved(why: str) -> FitError:
     return FitError(
         f"no physically consistent parameters could be found: {why}",
-        hint="widen the bounds (mass_factor), or check that the data are of this robot and unit",
+        hint="widen the bounds (mass_factor), or check robot and unit of the data",
     )
 
 
@@ -176,19 +182,20 @@ _ROWS, _COLUMNS = np.triu_indices(4)
 
 
 class ReferenceCoordinates:
-    """Coordinates s in which every link's reference body is the unit matrix.
+    """Coordinates s in which the reference body of every link is the unit matrix.
 
-    A link's pseudo-inertia is J = C S Cᵀ, C the Cholesky factor of its reference; s are the ten
-    entries of S in an orthonormal basis. Rotor inertias follow behind all links, unscaled.
+    The pseudo-inertia of a link is J = C S Cᵀ, with C the Cholesky factor of its reference. s
+    contains the ten entries of S in an orthonormal basis. In the coordinate vector, the rotor
+    inertias follow all links and are not scaled.
 
     Attributes:
-        links: Number of links n.
-        bodies: 10n, the coordinates of all bodies.
-        size: 11n, rotors included.
-        symmetric: (16, 10) from s of a link to its S.
-        to_parameters: (11n, 11n) from coordinates to parameters.
+        links: Number n of links.
+        bodies: Number 10n of coordinates of all bodies.
+        size: Number 11n of coordinates, including rotors.
+        symmetric: (16, 10) matrix that maps s of a link to the matrix S of this link.
+        to_parameters: (11n, 11n) matrix from coordinates to parameters.
         reference: (10n,) coordinates of the reference bodies.
-        limits, room: (4n, 10n) and (4n,): the bounds are limits @ s ≤ room.
+        limits, room: (4n, 10n) matrix and (4n,) vector of the bounds limits @ s ≤ room.
     """
 
     def __init__(self, bounds: InertialBounds) -> None:
@@ -204,7 +211,7 @@ class ReferenceCoordinates:
             T = self._from_entries(bounds.reference[i])
             self.to_parameters[own, own] = T
             rows = _limit_rows(bounds.box[i]) @ T
-            # Each bound counts in units of how far the reference keeps away from it.
+            # Each bound is scaled by its distance from the reference.
             mass_max = float(bounds.mass_max[i])
             away = np.append(-rows[:3] @ self.reference[own], mass_max)
             rows[3] = T[0]
@@ -212,23 +219,24 @@ class ReferenceCoordinates:
             self.room[4 * i + 3] = 1.0
 
     def _from_entries(self, reference: FloatArray) -> FloatArray:
-        """(10, 10) from s of a link to its parameters."""
+        """Return the (10, 10) matrix that maps s of a link to its inertial parameters."""
         C = np.linalg.cholesky(pseudo_inertia(reference))
         units = self.symmetric.T.reshape(BODY, 4, 4)
         return from_pseudo_inertia(C @ units @ C.T).T
 
     def matrices(self, s: FloatArray) -> FloatArray:
-        """(n, 4, 4) S of every link."""
+        """Return (n, 4, 4) the matrix S of every link."""
         return (s.reshape(self.links, BODY) @ self.symmetric.T).reshape(self.links, 4, 4)
 
     def least_eigenvalue(self, s: FloatArray) -> float:
-        """Smallest eigenvalue of any link's S."""
+        """Return the smallest eigenvalue of S over all links."""
         return float(np.linalg.eigvalsh(self.matrices(s)).min())
 
     def drawn_inside(self, s: FloatArray, least: float) -> FloatArray:
-        """Return coordinates (10n,) drawn to the reference until all bounds hold.
+        """Return coordinates (10n,) moved towards the reference until all bounds are satisfied.
 
-        The reference is strictly inside and the bounds are convex, so a share below 1 is enough.
+        Because the reference is strictly inside the convex bounds, a sufficient step towards the
+        reference always exists.
         """
         over = self.limits @ s - self.room
         spare = self.room - self.limits @ self.reference
@@ -240,7 +248,7 @@ class ReferenceCoordinates:
 
 
 def _symmetric_basis() -> FloatArray:
-    """(16, 10) from ten coordinates to the entries of a symmetric 4 × 4 matrix, orthonormal."""
+    """Return the (16, 10) orthonormal map from ten coordinates to a symmetric 4 × 4 matrix."""
     basis = np.zeros((4, 4, BODY))
     size = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(0.5))
     basis[_ROWS, _COLUMNS, np.arange(BODY)] = size
@@ -249,13 +257,13 @@ def _symmetric_basis() -> FloatArray:
 
 
 def _limit_rows(box: FloatArray) -> FloatArray:
-    """(4, 10) rows that must be ≤ 0 for mass inside the box; the last, for its mass, is left empty.
+    """Return (4, 10) rows whose product with the parameters is ≤ 0 for mass inside the box.
 
-    Along each axis ∫(x − lo)(hi − x) dm ≥ 0, that is Σ − (lo + hi) h + lo hi m ≤ 0 with the second
-    moment Σ and the first moment h.
+    The fourth row, for the mass limit, is zero. Along each axis, ∫(x − lo)(hi − x) dm ≥ 0 means Σ −
+    (lo + hi) h + lo hi m ≤ 0, with the second moment Σ and the first moment h.
     """
     rows = np.zeros((4, BODY))
-    J = pseudo_inertia(np.eye(BODY))  # (10, 4, 4): what each parameter adds to J
+    J = pseudo_inertia(np.eye(BODY))  # (10, 4, 4) contribution of each parameter to J
     for axis in range(3):
         lo, hi = box[0, axis], box[1, axis]
         rows[axis] = J[:, axis, axis] - (lo + hi) * J[:, axis, 3] + lo * hi * J[:, 3, 3]

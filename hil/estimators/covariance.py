@@ -1,24 +1,26 @@
-"""How certain least squares is when errors depend on each other.
+"""Standard errors of least squares with correlated errors.
 
-The textbook's standard errors take every row for an independent observation. Robots give no such
-rows: the ten samples of a dwell share what its approach left in the gears, errors of successive
-samples and of all joints at one instant have much to do with each other. With B = (XᵀWX)⁻¹ the
-covariance is therefore the sandwich B Ω B, and the three ways here differ in Ω:
+Textbook standard errors assume that every row is an independent observation. Independence of all
+rows is a wrong assumption for robots: the ten samples of a dwell share the friction of its
+approach, and errors of successive samples and of all joints at one instant are correlated. The
+covariance is therefore the sandwich B Ω B with B = (XᵀWX)⁻¹. The three methods of this module
+differ in the matrix Ω:
 
 - `clustered_covariance`: Ω = Σ_g s_g s_gᵀ with one score s_g = X_gᵀ W_g r_g per cluster g (Liang &
-  Zeger, Biometrika 1986; Cameron & Miller, J. Human Resources 2015). Whatever the errors of one
-  cluster have to do with each other, it holds; clusters must be independent. Few clusters make it
-  too small, which two corrections mend. `CR1` multiplies by G/(G−1) · (N−1)/(N−p), with Student's t
-  at G−1 degrees of freedom. `CR2` (Bell & McCaffrey, Survey Methodology 2002) multiplies each
-  cluster's residual by (I − H_gg)^(−1/2), which is unbiased for errors of equal variance, with
-  Student's t at Satterthwaite's degrees of freedom, one number per coefficient.
-- `trajectory_covariance`: the same with whole trajectories as clusters.
+  Zeger, Biometrika 1986; Cameron & Miller, J. Human Resources 2015). Within a cluster, errors may
+  be correlated in any way, but different clusters must be independent. With few clusters, the
+  covariance estimate is too small; two corrections are available. The correction `CR1` multiplies
+  the covariance estimate by G/(G−1) · (N−1)/(N−p) and uses Student's t with G−1 degrees of freedom.
+  The correction `CR2` (Bell & McCaffrey, Survey Methodology 2002) multiplies the residual of each
+  cluster by (I − H_gg)^(−1/2), which makes the estimate unbiased for errors of equal variance, and
+  uses Student's t with Satterthwaite's degrees of freedom for each coefficient.
+- `trajectory_covariance`: the clustered covariance in which each trajectory is one cluster.
 - `hac_covariance`: Ω = Σ_l (1 − |l|/L) Σ_t s_t s_{t−l}ᵀ over the lags within a series, with one
-  score s_t = Σ_j x_tj w_j r_tj per instant (Newey & West, Econometrica 1987), for errors that
-  forget after some time.
+  score s_t = Σ_j x_tj w_j r_tj per instant (Newey & West, Econometrica 1987), for errors whose
+  correlation decays with time.
 
-`correlated_samples` measures after how many samples a residual forgets, and `time_blocks` cuts a
-recording into clusters of a few such times.
+`correlated_samples` estimates the correlation time of a residual in samples, and `time_blocks`
+divides a recording into clusters of a few correlation times.
 """
 
 from __future__ import annotations
@@ -36,11 +38,12 @@ Correction = Literal["CR1", "CR2"]
 
 
 class Clustered(NamedTuple):
-    """How certain the coefficients are.
+    """Covariance of coefficients, with the degrees of freedom of their intervals.
 
     Attributes:
-        covariance: (p, p) of the coefficients.
-        degrees: (p,) degrees of freedom of Student's t for each coefficient's interval.
+        covariance: (p, p) covariance of the coefficients.
+        degrees: (p,) degrees of freedom of Student's t distribution for the confidence interval of
+            each coefficient.
     """
 
     covariance: FloatArray
@@ -49,12 +52,12 @@ class Clustered(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClusterSums:
-    """All that the covariance needs to know of the rows.
+    """Sums over clusters that determine the clustered covariance.
 
     Attributes:
-        gram: (G, p, p) X_gᵀ W_g X_g.
-        score: (G, p) X_gᵀ W_g r_g.
-        rows: Rows with a weight above zero, N.
+        gram: (G, p, p) matrices X_gᵀ W_g X_g.
+        score: (G, p) scores X_gᵀ W_g r_g.
+        rows: Number N of rows with a weight above zero.
     """
 
     gram: FloatArray
@@ -65,7 +68,7 @@ class ClusterSums:
     def of(
         X: FloatArray, residual: FloatArray, weight: FloatArray, clusters: IntArray
     ) -> ClusterSums:
-        """Sums over the clusters that are numbered, in any way, by `clusters` (N,)."""
+        """Return the sums over the rows of each cluster, for cluster labels `clusters` (N,)."""
         _, number = np.unique(clusters, return_inverse=True)
         order = np.argsort(number, kind="stable")
         ends = np.flatnonzero(np.diff(number[order])) + 1
@@ -79,12 +82,12 @@ class ClusterSums:
 def clustered_covariance(
     bread: FloatArray, sums: ClusterSums, correction: Correction = "CR2"
 ) -> Clustered:
-    """Covariance of weighted least-squares coefficients, robust to what clusters share.
+    """Return the covariance of weighted least-squares coefficients with correlated clusters.
 
     Args:
-        bread: (p, p) (XᵀWX)⁻¹ over all rows.
-        sums: Of the clusters.
-        correction: For few clusters, see the top of the module.
+        bread: (p, p) matrix (XᵀWX)⁻¹ over all rows.
+        sums: Sums over the clusters, from `ClusterSums.of`.
+        correction: Correction for few clusters, `CR1` or `CR2`; see the module docstring.
     """
     if correction == "CR1":
         count, p = sums.score.shape
@@ -95,22 +98,23 @@ def clustered_covariance(
 
 
 MOST_LEVERAGE = 1.0 - 1e-9
-"""A cluster with all the leverage there is in some direction leaves no residual there."""
+"""Leverage of a cluster above which its residual in a direction counts as zero."""
 
 
 def _bell_mccaffrey(bread: FloatArray, sums: ClusterSums) -> Clustered:
-    """CR2 in the coordinates Z = W^½ X L with B = L Lᵀ, in which H_gg = Z_g Z_gᵀ.
+    """Return the CR2 covariance in coordinates Z = W^½ X L with B = L Lᵀ and H_gg = Z_g Z_gᵀ.
 
-    There Z_gᵀ (I − H_gg)^(−½) = V (1 − λ)^(−½) Vᵀ Z_gᵀ with Z_gᵀ Z_g = V λ Vᵀ: p × p is enough.
+    In these coordinates, Z_gᵀ (I − H_gg)^(−½) = V (1 − λ)^(−½) Vᵀ Z_gᵀ with Z_gᵀ Z_g = V λ Vᵀ, so
+    only p × p matrices are needed.
     """
     L = _root(bread)
     share, V = np.linalg.eigh(L.T @ sums.gram @ L)
-    # No residual is left along a direction that one cluster decides alone: nothing to scale up.
+    # A direction that one cluster determines alone has no residual, so it is not scaled.
     grown = np.where(share < MOST_LEVERAGE, 1.0 / np.sqrt(1.0 - np.minimum(share, 1 - 1e-12)), 1.0)
     adjust = (V * grown[:, None, :]) @ V.transpose(0, 2, 1)
     score = np.einsum("gij,gj->gi", adjust, sums.score @ L)
     half = score @ L.T
-    # Column k of `to` is F_g l_k, that of `seen` is G_g F_g l_k, for coefficient k = l_kᵀ z.
+    # For coefficient k = l_kᵀ z, column k of `to` is F_g l_k and that of `seen` is G_g F_g l_k.
     to = adjust @ L.T
     seen = ((V * share[:, None, :]) @ V.transpose(0, 2, 1)) @ to
     degrees = [_satterthwaite(to[:, :, k], seen[:, :, k]) for k in range(bread.shape[0])]
@@ -118,7 +122,7 @@ def _bell_mccaffrey(bread: FloatArray, sums: ClusterSums) -> Clustered:
 
 
 def _root(bread: FloatArray) -> FloatArray:
-    """L (p, p) with L Lᵀ = bread, also where directions are not determined."""
+    """Return L (p, p) with L Lᵀ = bread, even if the data leave some directions undetermined."""
     length = np.sqrt(np.diag(bread))
     length[length == 0] = 1.0
     values, vectors = np.linalg.eigh(bread / np.outer(length, length))
@@ -127,10 +131,11 @@ def _root(bread: FloatArray) -> FloatArray:
 
 
 def _satterthwaite(to: FloatArray, seen: FloatArray) -> float:
-    """Degrees of freedom for errors of equal variance; `to`, `seen` (G, p) of a coefficient.
+    """Return the degrees of freedom for errors of equal variance.
 
-    The variance estimate is a quadratic form in the errors with the G × G matrix
-    P = diag(d) − U Uᵀ; its degrees of freedom are tr(P)² / tr(P²).
+    The arguments `to` and `seen` (G, p) refer to one coefficient. The variance estimate is a
+    quadratic form in the errors with the G × G matrix P = diag(d) − U Uᵀ; its degrees of freedom
+    are tr(P)² / tr(P²).
     """
     diagonal = np.einsum("gi,gi->g", to, seen)
     length = np.einsum("gi,gi->g", seen, seen)
@@ -143,10 +148,10 @@ def _satterthwaite(to: FloatArray, seen: FloatArray) -> float:
 def interval(
     coefficients: FloatArray, std_error: FloatArray, degrees: FloatArray, level: float
 ) -> FloatArray:
-    """(p, 2) intervals of Student's t; NaN where the standard error is.
+    """Return (p, 2) confidence intervals from Student's t; NaN if the standard error is NaN.
 
     Raises:
-        ValueError: `level` is no share between 0 and 1.
+        ValueError: The confidence level `level` is not between 0 and 1.
     """
     if not 0.0 < level < 1.0:
         raise ValueError(f"level is {level!r}, but must be between 0 and 1")
@@ -156,13 +161,13 @@ def interval(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
-    """What the covariance needs to know of the observations.
+    """Scores of the observations, from which the covariance is computed.
 
     Attributes:
-        score: (N, p) one per instant, all series behind each other.
-        gram: (S, p, p) XᵀWX of every series.
+        score: (N, p) one score per instant, with all series in sequence.
+        gram: (S, p, p) matrix XᵀWX of every series.
         offsets: (S + 1,) row at which each series begins.
-        joints: Observations per instant.
+        joints: Number n of joints, which is the number of observations per instant.
     """
 
     score: FloatArray
@@ -172,19 +177,21 @@ class Scores:
 
 
 def hac_covariance(bread: FloatArray, scores: Scores, window: int) -> Clustered:
-    """Newey & West's covariance with Bartlett's kernel over lags below `window`.
+    """Return Newey & West's covariance with Bartlett's kernel over lags below `window`.
 
-    Every lag's weighted sum is the mean over all windows of `window` instants, those that overlap
-    an end included, of the window's own sum times itself: one pass, however wide the window.
+    The weighted sum over all lags equals the mean of the outer product of window sums over all
+    windows of `window` instants, including windows that overlap an end. The covariance therefore
+    needs one pass through the data for any window.
 
     Args:
-        bread: (p, p) (XᵀWX)⁻¹.
-        scores: Of the observations.
-        window: Lags from 0 that count, at least 1.
+        bread: (p, p) matrix (XᵀWX)⁻¹.
+        scores: Scores of the observations, one per instant.
+        window: Number of lags, counted from lag 0; at least 1.
 
     Returns:
-        The covariance, times N/(N − p), and Student's degrees of freedom: a Bartlett kernel of
-        N/window windows tells a variance as 1.5 times as many independent ones would (Sun, 2014).
+        Covariance times N/(N − p), and the degrees of freedom of Student's t: the estimate with a
+        Bartlett kernel of N/window windows is as precise as an estimate from 1.5 · N/window
+        independent windows (Sun, 2014).
     """
     p = bread.shape[0]
     omega = np.zeros((p, p))
@@ -198,7 +205,7 @@ def hac_covariance(bread: FloatArray, scores: Scores, window: int) -> Clustered:
 
 
 def _windowed(score: FloatArray, window: int) -> FloatArray:
-    """(N + window − 1, p) sums over `window` successive rows, zeros before and after."""
+    """Return (N + window − 1, p) sums over `window` successive rows, padded with zeros."""
     padded = np.zeros((len(score) + 2 * window - 1, score.shape[1]))
     padded[window : window + len(score)] = score
     total = np.cumsum(padded, axis=0)
@@ -207,41 +214,48 @@ def _windowed(score: FloatArray, window: int) -> FloatArray:
 
 
 HAC_TIMES = 10.0
-"""The window of `hac` in correlation times: it then misses about a tenth of the variance."""
+"""Window length of the `hac` covariance, in correlation times of the residual.
+
+A window of this length misses about a tenth of the variance.
+"""
 
 FEWEST_WINDOWS = 8
-"""A window is at most this share of the samples: longer ones see the fit's own zero sum."""
+"""Minimum number of windows that the samples of a fit must contain.
+
+The scores of a fit sum to zero, which biases the covariance estimate for longer windows.
+"""
 
 
 def hac_window(correlated: FloatArray, samples: int) -> int:
-    """Instants after which errors with these correlation times (n,) count as forgotten."""
+    """Return the window length in samples for errors with these correlation times (n,)."""
     wanted = int(np.ceil(HAC_TIMES * float(np.max(correlated))))
     return max(min(wanted, samples // FEWEST_WINDOWS), 1)
 
 
 def trajectory_covariance(bread: FloatArray, scores: Scores) -> Clustered:
-    """CR2 with Satterthwaite's degrees of freedom; every series is one cluster."""
+    """Return the CR2 covariance in which every series is one cluster."""
     sums = np.add.reduceat(scores.score, scores.offsets[:-1], axis=0)
     rows = len(scores.score) * scores.joints
     return clustered_covariance(bread, ClusterSums(scores.gram, sums, rows))
 
 
 SOKAL_TIMES = 5.0
-"""Lags are summed up to so many correlation times (Sokal's automatic windowing)."""
+"""Largest lag of the autocorrelation sum in correlation times (Sokal's automatic windowing)."""
 
 
 def correlated_samples(residual: FloatArray, offsets: IntArray) -> FloatArray:
-    """(n,) how many successive samples count as one, at least 1.
+    """Return (n,) the number of successive samples that count as one independent sample.
 
-    The integrated autocorrelation time τ = 1 + 2 Σ ρ(k) of each joint's residual, with the
-    autocovariances of all series pooled and the sum cut where k ≥ 5 τ(k) (Sokal, 'Monte Carlo
-    methods in statistical mechanics', 1997, §3). The variance of a sum of N such samples is τ
-    times that of independent ones. The largest partial sum counts: a fit takes the slow part out
-    of its residual, and what is left would otherwise cancel itself (a filtered signal came out as
-    if it were white). Correlation between series is not seen.
+    This number of samples is the integrated autocorrelation time τ = 1 + 2 Σ ρ(k) of the residual
+    of each joint. The autocovariances of all series are pooled, and the sum ends at k ≥ 5 τ(k)
+    (Sokal, 'Monte Carlo methods in statistical mechanics', 1997, §3). The variance of a sum of N
+    correlated samples is τ times that of independent samples. The largest partial sum of the
+    autocorrelations is used: a fit removes slow components from its residual, so that the later
+    terms could cancel and the residual of a filtered signal would look white. Correlation between
+    series is not included.
 
     Args:
-        residual: (N, n), all series behind each other.
+        residual: (N, n) residual, all series in sequence.
         offsets: (S + 1,) row at which each series begins.
     """
     lengths = np.diff(offsets)
@@ -262,7 +276,7 @@ def correlated_samples(residual: FloatArray, offsets: IntArray) -> FloatArray:
 
 
 def _autocovariance(values: FloatArray) -> FloatArray:
-    """(N, n) sums of products at lags 0…N − 1, by FFT."""
+    """Return (N, n) sums of products at lags 0…N − 1, computed by FFT."""
     size = 1 << (2 * len(values) - 1).bit_length() if len(values) else 1
     spectrum = np.fft.rfft(values, size, axis=0)
     sums: FloatArray = np.fft.irfft(np.abs(spectrum) ** 2, size, axis=0)[: len(values)]
@@ -270,17 +284,18 @@ def _autocovariance(values: FloatArray) -> FloatArray:
 
 
 BLOCK_TIMES = 4.0
-"""A block lasts so many correlation times of the residual: then blocks hardly know of another."""
+"""Length of a block in correlation times of the residual; blocks are then nearly independent."""
 
 FEWEST_BLOCKS = 10
-"""Blocks that are made even if they have to be shorter for it: fewer tell no variance."""
+"""Minimum number of blocks; blocks are shortened if necessary, because few give no variance."""
 
 
 def time_blocks(residual: FloatArray, offsets: IntArray) -> IntArray:
-    """(N,) number of the block each row belongs to; no block reaches over the end of a series.
+    """Return (N,) the index of the block of each row; no block crosses the end of a series.
 
     Args:
-        residual: (N, n) of a fit; its slowest joint decides how long blocks are.
+        residual: (N, n) residual of a fit; the joint with the longest correlation time defines the
+            block length.
         offsets: (S + 1,) row at which each series begins.
     """
     slowest = float(np.max(correlated_samples(residual, offsets), initial=1.0))

@@ -1,21 +1,25 @@
-"""Newton–Euler identification in coordinates in which every point is an arm that can exist.
+"""Newton–Euler identification in coordinates that are physically consistent by construction.
 
-τ = Y_b(q, q̇, q̈)·B·φ(θ) + friction, with θ the log-Cholesky coordinates of every link's
-pseudo-inertia (Rucker & Wensing 2022), rotor inertias and friction coefficients kept from being
-negative by their coordinates too, and the friction's shapes fitted along
-(`hil.estimators.diffnea_friction`). What the data do not determine stays near the nominal arm by a
-weak Bregman divergence (Lee, Wensing & Park 2020): no link ever weighs tons.
+The model is τ = Y_b(q, q̇, q̈)·B·φ(θ) + friction. θ are the log-Cholesky coordinates of the
+pseudo-inertia of every link (Rucker & Wensing 2022). The coordinates of rotor inertias and friction
+coefficients exclude negative values by construction, too. The shape parameters of the friction are
+fitted together with the other parameters (`hil.estimators.diffnea_friction`). A weak Bregman
+divergence (Lee, Wensing & Park 2020) keeps parameters that the data do not determine near the
+nominal arm, so that link masses stay realistic.
 
-From the estimator inwards:
+Structure of the module, from the estimator inwards:
 
-- `RigidDiffnea` is the estimator, and `DiffneaFit` one fit, step by step: shapes as they start,
-  then bent on rows of bounded number, then everything but the shapes on all rows.
-- `DiffneaArm` turns motion into columns, and values into torques.
-- `Problem` is what is minimised: weighted torque residuals and the pull towards the nominal arm.
-- `Unknowns` goes from free coordinates to coefficients, with the exact Jacobian, and `Bodies` is
-  its part for links and rotors.
-- `minimise` takes damped Newton steps. The regressor is computed once and compressed to one
-  triangle, so that a step with exact derivatives costs well under a millisecond.
+- `RigidDiffnea` is the estimator class. `DiffneaFit` is one fit in three steps: all parameters
+  except the shapes; then shapes and all other parameters on a limited number of rows; then all
+  parameters except the shapes on all rows.
+- `DiffneaArm` computes regressor columns from the motion, and torques from the parameters.
+- `Problem` is the cost function: weighted torque residuals plus the divergence from the nominal
+  arm.
+- `Unknowns` maps free coordinates to coefficients, with the exact Jacobian; `Bodies` is its part
+  for links and rotors.
+- `minimise` minimises the cost function by damped Newton steps. The regressor is computed a single
+  time and compressed to one triangular factor; a step with exact derivatives then takes well under
+  a millisecond.
 """
 
 from __future__ import annotations
@@ -61,19 +65,24 @@ WELL_CONDITIONED = 1e7
 """Condition number of the column-scaled regressor up to which data determine all parameters."""
 
 MASS_FACTOR = 5.0
-"""A link weighs at most this many times what the model says, or times a tenth of the arm where the
-link is lighter than that: tools are mounted on small flanges and not always declared."""
+"""Upper bound of the mass of a link, as a multiple of its nominal mass.
+
+If the nominal mass is below a tenth of the mass of the arm, the multiple refers to this tenth
+instead, because tools on small flanges are not always declared.
+"""
 
 
 class RigidDiffnea(RigidLinear):
-    """Physically consistent rigid-body dynamics and friction by Gauss–Newton.
+    """Physically consistent rigid-body dynamics and friction, fitted by Gauss–Newton.
 
     Attributes:
-        inertial_: (11n,) in the order of `RobotModel.parameters(rotor=True)`; always of bodies that
-            can exist.
-        parameter_names_: Base parameters, friction coefficients joint by joint, then shapes.
-        gear_rigid_: (b,) base parameters the torque through the gears was computed with.
-        coefficients_: Their values, `std_error_` by the delta method.
+        inertial_: (11n,) full inertial parameters in the order of
+            `RobotModel.parameters(rotor=True)`, always physically consistent.
+        parameter_names_: Names of base parameters, friction coefficients of each joint, then
+            shapes.
+        gear_rigid_: (b,) base parameters with which the torque through the gears was computed.
+        coefficients_: Values of the parameters in `parameter_names_`; their standard errors come
+            from the delta method.
     """
 
     estimator: ClassVar[str] = "rigid-diffnea"
@@ -89,22 +98,22 @@ class RigidDiffnea(RigidLinear):
         1.0,
         number,
         above=0.0,
-        doc="Pull towards the nominal arm: how many samples one unit of Bregman divergence counts "
-        "for.",
+        doc="Weight of the nominal arm as prior: number of samples that one unit of Bregman "
+        "divergence counts as.",
     )
     mass_factor: float = parameter(
         MASS_FACTOR,
         number,
         above=1.0,
-        doc="Links weigh at most this many times what the robot model says (small ones: a tenth of "
-        "the arm); above 1.",
+        doc="Largest link mass as a multiple of the nominal mass (small links: of a tenth of the "
+        "arm's mass), above 1.",
     )
 
     inertial_: FloatArray
     gear_rigid_: FloatArray
 
     def stream(self, payload: Payload | None = None) -> Stream:
-        """A predictor for one sample at a time that carries friction states, if there are any."""
+        """Return a predictor for one sample at a time, with friction states if the law has any."""
         arm, values, mounted = self._arm, self.coefficients_, payload or Payload()
         if not arm.form.multiples:
             return super().stream(payload)
@@ -123,7 +132,7 @@ class RigidDiffnea(RigidLinear):
         return SampleStream(self.robot_.n, DahlMemory(length, arm.form.multiples), effort)
 
     def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
-        """Friction at velocities (N, n) [rad/s]; None of a form that has memory."""
+        """Return the friction at velocities (N, n) [rad/s]; None for friction with memory."""
         form = self._arm.form
         if form.multiples:
             return None
@@ -135,12 +144,12 @@ class RigidDiffnea(RigidLinear):
         return replace(curve, std_error=curve.std_error + bent.sum(axis=-1))
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """Those of every linear model, and the full inertial parameters."""
+        """Return the arrays of a linear model, and the full inertial parameters."""
         own = {"inertial": self.inertial_, "gear_rigid": self.gear_rigid_}
         return super().fitted_arrays() | own
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fitted attributes from the output of `fitted_arrays` and `fitted_facts`."""
         super().restore(arrays, facts)
         self.inertial_, self.gear_rigid_ = arrays["inertial"], arrays["gear_rigid"]
         own = self.robot_.n * len(self._joint_terms())
@@ -164,7 +173,12 @@ class RigidDiffnea(RigidLinear):
         self.parameter_names_ = (*self._base.names, *terms, *shapes)
 
     def _learn(self, data: Dataset) -> None:
-        """Shapes where they start, then fitted to rows of bounded number, then all rows."""
+        """Fit all parameters of the model in three steps.
+
+        The first step fits all parameters except the shapes, which have their initial values. The
+        second step fits the shapes of the friction on a limited number of rows. The third step fits
+        all parameters except the shapes on all rows.
+        """
         scale = np.ones((data.n_joints, len(self._arm.form.terms)))
         bodies, fold = Bodies.nominal(self.robot_, self.mass_factor), folding(self._base)
         unknowns = Unknowns(bodies, fold, self._arm.form, scale)
@@ -182,11 +196,11 @@ class RigidDiffnea(RigidLinear):
         self._adopt(data, fit.solution(observed))
 
     def _start_from(self, values: FloatArray) -> None:
-        """Evaluate columns at these values from now on."""
+        """Set the parameter values at which the regressor columns are evaluated."""
         self.coefficients_, self.gear_rigid_ = values, values[: self._base.rank]
 
     def _estimate(self, observed: JointwiseQR) -> Solution:
-        """What the same columns give without any constraint, for comparison."""
+        """Return the unconstrained least-squares solution with the same columns, for comparison."""
         return jointwise_least_squares(observed, weighted=True)
 
     def _adopt(self, data: Dataset, found: Solution) -> None:
@@ -195,12 +209,13 @@ class RigidDiffnea(RigidLinear):
         if found.condition > WELL_CONDITIONED:
             self.notes_ += (
                 f"the data determine only {found.rank} directions of the parameters (condition "
-                f"number {found.condition:.2g}); along the others they are the nominal arm's",
+                f"number {found.condition:.2g}); in all other directions the values are those of "
+                "the nominal arm",
             )
         self._set_uncertainty(data, found)
 
     def _residual(self, data: Dataset, coefficients: FloatArray) -> FloatArray:
-        # The columns of shapes tell how the residual bends, not what it is.
+        # Columns of shapes are derivatives and do not contribute to the prediction.
         straight = np.array(coefficients)
         straight[len(straight) - len(self._arm.form.shapes) * data.n_joints :] = 0.0
         return super()._residual(data, straight)
@@ -230,24 +245,27 @@ class RigidDiffnea(RigidLinear):
 
 
 ROUNDS = 2
-"""How often shapes are fitted, with the joints' weights renewed in between."""
+"""Number of fits of the friction shapes; the joint weights are updated after each fit."""
 
 LEAST_NOISE = 1e-6
-"""A joint's deviation is at least this share of its torque: exact data would weigh by 1/0."""
+"""Lower bound of the residual standard deviation of a joint, as a share of its torque.
+
+The lower bound of the standard deviation avoids a division by zero for exact data.
+"""
 
 USUAL_FRICTION = 0.1
-"""Scale of a friction coefficient: it makes this share of the joint's torque."""
+"""Share of the torque of a joint that defines the scale of its friction coefficients."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiffneaFit:
-    """One fit, and where it stands.
+    """State of a fit: cost function and current parameter coordinates.
 
     Attributes:
-        problem: What is minimised.
-        u: (U,) coordinates.
-        floor: (n,) least deviation of a joint [N·m].
-        iterations: Steps so far.
+        problem: Cost function.
+        u: (U,) free coordinates.
+        floor: (n,) lower bound of the standard deviation of each joint [N·m].
+        iterations: Number of Newton steps so far.
     """
 
     problem: Problem
@@ -257,9 +275,10 @@ class DiffneaFit:
 
     @classmethod
     def begun(cls, unknowns: Unknowns, observed: JointwiseQR, prior: float) -> DiffneaFit:
-        """The nominal arm fitted with shapes as they start; observations have those shapes.
+        """Return the fit of all parameters except the shapes, starting from the nominal arm.
 
-        Joints are weighted by the residual of an unconstrained fit with equal weights.
+        The regressor columns of the observations are evaluated at the initial shapes. Joints are
+        weighted by the residual of an unconstrained fit with equal weights.
         """
         torque = _torque(observed)
         unknowns = replace(unknowns, scale=_usual_scale(unknowns, observed, torque))
@@ -269,7 +288,7 @@ class DiffneaFit:
         return cls(problem, unknowns.start(), floor).finished(observed)
 
     def bent(self, rows: BendingRows) -> DiffneaFit:
-        """Shapes fitted too, joints weighted anew."""
+        """Return the fit of all parameters including the shapes, with updated joint weights."""
         fit = self
         for _ in range(ROUNDS):
             found = fit.problem.bending(rows, fit.u)
@@ -281,38 +300,42 @@ class DiffneaFit:
         return fit
 
     def finished(self, observed: JointwiseQR) -> DiffneaFit:
-        """Everything but the shapes, on all observations."""
+        """Return the fit of all parameters except the shapes on all observations."""
         found = self.problem.frozen(observed.system(), self.u)
         return replace(self, u=found.u, iterations=self.iterations + found.iterations)
 
     @property
     def values(self) -> FloatArray:
-        """Base parameters, friction coefficients and shapes."""
+        """Vector of the base parameters, friction coefficients and shapes."""
         return self.problem.unknowns.at(self.u)[0]
 
     @property
     def inertial(self) -> FloatArray:
-        """(11n,) full inertial parameters."""
+        """Full inertial parameters (11n,)."""
         return self.problem.unknowns.bodies.parameters(self.u)
 
     def notes(self, joints: tuple[str, ...]) -> tuple[str, ...]:
-        """What ended at its bound."""
+        """Return notes on the parameters that reached a bound."""
         return self.problem.unknowns.notes(self.u, joints)
 
     def solution(self, observed: JointwiseQR) -> Solution:
-        """The values and what their uncertainty needs."""
+        """Return the least-squares solution, with the data for its standard errors."""
         return self.problem.solution(self.u, observed)
 
 
 def _torque(observed: JointwiseQR) -> FloatArray:
-    """(n,) root mean square of each joint's target [N·m]."""
+    """Return (n,) the root mean square of each joint's target [N·m]."""
     _, y, joint = observed.system()
     squares = np.bincount(joint, y**2, minlength=len(observed.rows))
     return np.asarray(np.sqrt(squares / np.maximum(observed.rows, 1)))
 
 
 def _usual_scale(unknowns: Unknowns, observed: JointwiseQR, torque: FloatArray) -> FloatArray:
-    """(n, k) coefficients with which a column makes a usual share of the joint's torque."""
+    """Return (n, k) the scales of the friction coefficients.
+
+    A friction coefficient equal to its scale produces the share `USUAL_FRICTION` of the torque of
+    the joint.
+    """
     X, _, joint = observed.system()
     n, k = unknowns.scale.shape
     first = unknowns.counts[0]
@@ -326,18 +349,18 @@ def _usual_scale(unknowns: Unknowns, observed: JointwiseQR, torque: FloatArray) 
 
 
 MOST_ROWS = 10_000
-"""Rows that shapes are fitted to; of longer recordings, evenly chosen ones."""
+"""Largest number of rows used to fit the shapes; longer recordings are sampled evenly."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiffneaArm:
-    """What turns motion into columns and values into torques.
+    """Computation of regressor columns from a motion, and of torques from parameters.
 
     Attributes:
-        robot: Nominal model.
-        base: Its base parameters.
+        robot: Nominal robot model.
+        base: Base parameters of the robot.
         form: Friction law of every joint.
-        width: Of the smoothed sign [rad/s].
+        width: Width of the smoothed sign function [rad/s].
     """
 
     robot: RobotModel
@@ -346,22 +369,25 @@ class DiffneaArm:
     width: float
 
     def friction_values(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n, k) coefficients and (n, S) shapes."""
+        """Return the friction coefficients (n, k) and the shapes (n, S) of all joints."""
         n, k = self.robot.n, len(self.form.terms)
         own = values[self.base.rank :]
         return own[: n * k].reshape(n, k), own[n * k :].reshape(n, -1)
 
     def rigid_rows(self, data: Dataset) -> Iterator[tuple[slice, FloatArray]]:
-        """Rows and base regressor (N·n, b), in order."""
+        """Yield row ranges with their base regressor (N·n, b), in the order of time."""
         for rows in chunks(data):
             yield rows, self.base.regressor(self.robot, *(data[name][rows] for name in MOTION))
 
     def load(self, data: Dataset) -> FloatArray:
-        """(N, n) torque of declared loads [N·m]."""
+        """Return (N, n) the torque of the payloads [N·m]."""
         return payload_torque(self.robot, data, *(data[name] for name in MOTION))
 
     def motion(self, data: Dataset, gear: FloatArray) -> ArmMotion:
-        """What friction sees, with the gears' torque by base parameters `gear` (b,)."""
+        """Return the inputs of the friction law for a dataset.
+
+        The torque through the gears is computed with the base parameters `gear` (b,).
+        """
         transmitted = np.zeros_like(data["q_f"])
         if self.form.multiples:
             transmitted = self.load(data)
@@ -375,7 +401,11 @@ class DiffneaArm:
         transmitted: FloatArray | None = None,
         states: Mapping[float, FloatArray] | None = None,
     ) -> ArmMotion:
-        """What friction sees of samples (N, n) that stand alone, or whose states are carried."""
+        """Return the inputs of the friction law for single samples (N, n).
+
+        The single samples do not form a path; friction states are passed if the friction law has
+        memory.
+        """
         still = np.zeros_like(qd)
         load = still if transmitted is None else transmitted
         return ArmMotion(qd, sign_of(qd, self.width), load, still, (), states or {})
@@ -383,7 +413,10 @@ class DiffneaArm:
     def observations(
         self, data: Dataset, target: FloatArray, values: FloatArray, gear: FloatArray
     ) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-        """Rows, [Y | C | ∂C/∂s·c] (N·n, b + nk + nS) and target torques (N, n), in order."""
+        """Yield row range, regressor (N·n, b + nk + nS) and target torques (N, n), in time order.
+
+        The regressor is [Y | C | ∂C/∂s·c].
+        """
         c, shapes = self.friction_values(values)
         C, slope = self.form.evaluate(self.motion(data, gear), shapes)
         bent = np.einsum("Njks,jk->Njs", slope, c)
@@ -391,7 +424,7 @@ class DiffneaArm:
             yield rows, np.hstack([Y, spread(C[rows]), spread(bent[rows])]), target[rows]
 
     def bending_rows(self, data: Dataset, target: FloatArray, gear: FloatArray) -> BendingRows:
-        """Rows of bounded number to fit shapes to."""
+        """Return a limited number of rows, on which the shapes are fitted."""
         every = -(-len(data) // MOST_ROWS)
         shape = (-1, self.robot.n, self.base.rank)
         parts = [
@@ -401,23 +434,23 @@ class DiffneaArm:
         return BendingRows(np.concatenate(parts), target[::every], motion, self.form, every)
 
     def friction(self, motion: ArmMotion, values: FloatArray) -> FloatArray:
-        """(N, n) friction torque [N·m]."""
+        """Return (N, n) the friction torque [N·m]."""
         c, shapes = self.friction_values(values)
         return np.asarray(np.einsum("Njk,jk->Nj", self.form.evaluate(motion, shapes)[0], c))
 
     def rigid(self, values: FloatArray, *motion: FloatArray) -> FloatArray:
-        """(N, n) rigid-body torque of a motion q, q̇, q̈ [N·m]."""
+        """Return (N, n) the rigid-body torque of a motion q, q̇, q̈ [N·m]."""
         torque = self.base.regressor(self.robot, *motion) @ values[: self.base.rank]
         return np.asarray(torque).reshape(motion[0].shape)
 
 
 class Local(NamedTuple):
-    """A cost near a point.
+    """Quadratic approximation of a cost function at a point.
 
     Attributes:
-        cost: Its value.
-        gradient: (U,).
-        curvature: (U, U) positive semidefinite, of Gauss–Newton type.
+        cost: Value of the cost function.
+        gradient: (U,) gradient.
+        curvature: (U, U) positive semidefinite curvature matrix of Gauss–Newton type.
     """
 
     cost: float
@@ -428,20 +461,20 @@ class Local(NamedTuple):
 Cost = Callable[[FloatArray], Local]
 
 Observed = Callable[[FloatArray], System]
-"""Values → an equivalent small system whose columns are those of the values, slopes included."""
+"""Function that maps parameter values to an equivalent small system with columns of shapes."""
 
 BENT_ENOUGH = 1e-6
-"""Relative decrease below which shapes are left alone."""
+"""Relative decrease of the cost below which the fit of the shapes ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """Σⱼ |rⱼ|²/σⱼ² + prior · divergence from nominal.
+    """Cost function Σⱼ |rⱼ|²/σⱼ² + prior · divergence from the nominal arm.
 
     Attributes:
-        unknowns: What is sought.
-        sigma: (n,) deviation each joint is given [N·m].
-        prior: How many samples a unit of divergence counts for.
+        unknowns: Map from free coordinates to parameter values.
+        sigma: (n,) assumed standard deviation of each joint [N·m].
+        prior: Number of samples that one unit of divergence counts as.
     """
 
     unknowns: Unknowns
@@ -449,7 +482,7 @@ class Problem:
     prior: float
 
     def frozen(self, system: System, start: FloatArray) -> Minimum:
-        """The minimum with shapes left where they are: all rows as one triangle."""
+        """Return the coordinates of minimum cost at constant shapes, for all rows."""
         X, y, joint = system
         linear = self.unknowns.linear
         weighted = np.column_stack([X[:, :linear], y]) / self.sigma[joint, None]
@@ -466,11 +499,14 @@ class Problem:
         return replace(found, u=np.concatenate([found.u, start[moved:]]))
 
     def bending(self, observed: Observed, start: FloatArray) -> Minimum:
-        """The minimum over shapes too, whose columns are evaluated anew at every step."""
+        """Return the coordinates of minimum cost over all parameters, including the shapes.
+
+        The friction columns of the regressor are evaluated again at every step.
+        """
         return minimise(self.bending_cost(observed), start, tolerance=BENT_ENOUGH)
 
     def bending_cost(self, observed: Observed) -> Cost:
-        """The cost by all coordinates, shapes included."""
+        """Return the cost as a function of all coordinates, including the shapes."""
         linear = self.unknowns.linear
 
         def cost(u: FloatArray) -> Local:
@@ -483,9 +519,10 @@ class Problem:
         return cost
 
     def solution(self, u: FloatArray, observed: JointwiseQR) -> Solution:
-        """Values at u with the covariance of the delta method, from all observations.
+        """Return the parameter values at u and their covariance, by the delta method.
 
-        With D the Jacobian of the values and H half the curvature, (XᵀWX)⁻¹ becomes D H⁻¹ Dᵀ.
+        With D the Jacobian of the parameter values and H half the curvature, D H⁻¹ Dᵀ replaces
+        (XᵀWX)⁻¹.
         """
         values, slope = self.unknowns.at(u)
         system = X, _, joint = observed.system()
@@ -512,12 +549,12 @@ class Problem:
 
 
 def _cut(local: Local, moved: int) -> Local:
-    """The same for the first coordinates alone."""
+    """Return the quadratic approximation restricted to the first `moved` coordinates."""
     return Local(local.cost, local.gradient[:moved], local.curvature[:moved, :moved])
 
 
 def _excited(X: FloatArray) -> tuple[int, float]:
-    """Rank and condition number of X (m, p) with its columns scaled to length 1."""
+    """Return rank and condition number of X (m, p) with columns scaled to length 1."""
     length = np.linalg.norm(X, axis=0)
     singular = np.linalg.svd(X / np.where(length > 0, length, 1.0), compute_uv=False)
     kept = singular > 1e-9 * singular[0]
@@ -525,26 +562,29 @@ def _excited(X: FloatArray) -> tuple[int, float]:
 
 
 SHAPE_EDGE = 0.01
-"""A shape this share of its (logarithmic) range from a bound sits at the bound."""
+"""Distance from a bound below which a shape counts as at the bound, as a share of its log range."""
 
 AT_ZERO = 1e-3
-"""A friction coefficient this share of its scale is 0 for all one can tell."""
+"""Relative size of a friction coefficient below which the coefficient counts as 0.
+
+The size is relative to the scale of the coefficient.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unknowns:
-    """What is sought: from free coordinates u to the coefficients of a regressor.
+    """Map from free coordinates u to parameter values.
 
-    The coordinates are those of links and rotors (`Bodies`), then the friction coefficients of
-    every joint, then their shapes. Coefficients that cannot be negative are softplus(u) times a
-    scale, shapes go between their bounds by a logistic curve. The values are base parameters,
-    friction coefficients and shapes, joint by joint.
+    The coordinates are those of links and rotors (`Bodies`), followed by the friction coefficients
+    of every joint, followed by the shapes of every joint. A non-negative coefficient is softplus(u)
+    times a scale. A shape is mapped between its bounds by a logistic function. The values are base
+    parameters, friction coefficients and shapes, joint by joint.
 
     Attributes:
         bodies: Links and rotors.
-        fold: (b, 11n) base parameters of full ones.
+        fold: (b, 11n) matrix from full to base parameters.
         form: Friction law of every joint.
-        scale: (n, k) size of friction coefficients, in their units.
+        scale: (n, k) scales of the friction coefficients, in their units.
     """
 
     bodies: Bodies
@@ -554,16 +594,16 @@ class Unknowns:
 
     @property
     def counts(self) -> tuple[int, int, int]:
-        """Base parameters b, friction coefficients n·k and shapes n·s."""
+        """Sizes: number of base parameters b, of friction coefficients n·k and of shapes n·s."""
         return len(self.fold), self.scale.size, len(self.scale) * len(self.form.shapes)
 
     @property
     def linear(self) -> int:
-        """How many values are coefficients of the regressor."""
+        """Number of those parameter values that are regressor coefficients."""
         return len(self.fold) + self.scale.size
 
     def start(self) -> FloatArray:
-        """Coordinates of the nominal arm with friction of usual size and shape."""
+        """Return the coordinates of the nominal arm with typical friction coefficients."""
         friction = np.where(self.form.nonnegative, np.log(np.expm1(1.0)), 0.0)
         shapes = [np.log(s.start / s.low) / np.log(s.high / s.low) for s in self.form.shapes]
         middle = np.log(np.array(shapes) / (1.0 - np.array(shapes)))
@@ -571,7 +611,7 @@ class Unknowns:
         return np.concatenate([self.bodies.start, np.tile(friction, n), np.tile(middle, n)])
 
     def at(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Values (b + nk + ns,) and their Jacobian (b + nk + ns, U)."""
+        """Return the parameter values (b + nk + ns,) and their Jacobian (b + nk + ns, U)."""
         b, nk, ns = self.counts
         inner = self.fold.shape[1]
         slope = np.zeros((b + nk + ns, inner + nk + ns))
@@ -584,9 +624,9 @@ class Unknowns:
         return np.concatenate([base, friction, shapes]), slope
 
     def divergence(self, u: FloatArray) -> Local:
-        """How far links, rotors and friction coefficients are from nominal or usual ones.
+        """Return the divergence of links, rotors and friction from their nominal values.
 
-        A coefficient that cannot be negative is a 1×1 pseudo-inertia too.
+        A non-negative friction coefficient is treated as a 1×1 pseudo-inertia.
         """
         inner, nk = self.fold.shape[1], self.scale.size
         bodies = self.bodies.divergence(u[:inner])
@@ -601,7 +641,7 @@ class Unknowns:
         return Local(bodies.cost + friction, gradient, curvature)
 
     def notes(self, u: FloatArray, joints: tuple[str, ...]) -> tuple[str, ...]:
-        """What ended at its bound, for people."""
+        """Return notes for the user on the parameters that reached a bound."""
         _, nk, ns = self.counts
         values = self.at(u)[0]
         k, terms = len(self.form.terms), self.form.terms
@@ -630,7 +670,7 @@ class Unknowns:
 
 
 def folding(base: BaseParameters) -> FloatArray:
-    """(b, p) matrix that combines full parameters into base parameters."""
+    """Return the (b, p) matrix that maps full parameters to base parameters."""
     fold = np.zeros((base.rank, len(base.independent) + len(base.dependent)))
     fold[np.arange(base.rank), base.independent] = 1.0
     fold[:, base.dependent] = base.combination
@@ -638,31 +678,33 @@ def folding(base: BaseParameters) -> FloatArray:
 
 
 LEAST_SHARE = 1e-6
-"""A nominal link is thickened until its pseudo-inertia's eigenvalues reach this share."""
+"""Minimum relative eigenvalue of a nominal pseudo-inertia; lower eigenvalues are raised to it."""
 
 ROTOR_SHARE = 0.3
-"""Start of a rotor nobody told: this share of what its joint accelerates on average."""
+"""Initial rotor inertia, if unknown, as a share of the inertia that its joint drives."""
 
 LIGHT = 0.1
-"""Share of the arm's mass below which a link counts as that heavy when its mass is bounded."""
+"""Share of the arm's mass that replaces smaller link masses in the mass bound."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bodies:
-    """Links and rotors of an arm in free coordinates, and how far they are from nominal.
+    """Links and rotors of an arm in free coordinates, and their divergence from the nominal arm.
 
-    Coordinates are the log-Cholesky ones of every link (10 each) and the logarithm of every rotor
-    inertia over its start. The distance is the Bregman divergence of −log det per link,
-    tr(J₀⁻¹J) − log det(J₀⁻¹J) − 4, and, a rotor being a 1×1 pseudo-inertia, the same of every
-    rotor. It is convex in the inertial parameters. Its curvature there, tr(J⁻¹dJ J⁻¹dJ), carried
-    over to the coordinates is positive semidefinite; what it leaves out is the total gradient by
-    the parameters times how the coordinates bend, and that gradient vanishes at the minimum.
+    The coordinates are the log-Cholesky coordinates of every link (10 each) and the logarithm of
+    every rotor inertia divided by its initial value. The divergence is the Bregman divergence of
+    −log det for each link, tr(J₀⁻¹J) − log det(J₀⁻¹J) − 4. A rotor inertia is treated as a 1×1
+    pseudo-inertia with the same divergence. The divergence is convex in the inertial parameters.
+    The curvature tr(J⁻¹dJ J⁻¹dJ) of the divergence, transformed to the coordinates, is positive
+    semidefinite. The transformation omits the product of the gradient with the second derivative of
+    the coordinates; at the minimum, the total gradient is zero.
 
     Attributes:
         theta: (n, 10) log-Cholesky coordinates of the nominal links.
         rotor: (n,) nominal or guessed rotor inertias [kg·m²].
-        mass_factor: Above 1; bounds masses, because α = α₀ + h·tanh((u − α₀)/h) with h half the
-            logarithm of how much heavier than nominal a link may be.
+        mass_factor: Upper bound of each link mass, as a multiple (above 1) of the nominal mass. The
+            mass coordinate is α = α₀ + h·tanh((u − α₀)/h), with h half the logarithm of the largest
+            ratio of mass to nominal mass.
     """
 
     theta: FloatArray
@@ -671,7 +713,7 @@ class Bodies:
 
     @classmethod
     def nominal(cls, robot: RobotModel, mass_factor: float = MASS_FACTOR) -> Bodies:
-        """Those of a robot model, mended where its links cannot exist."""
+        """Return the bodies of a robot model, with inconsistent links made consistent."""
         links = robot.parameters(rotor=False).reshape(robot.n, -1)
         links = np.where(links[:, :1] > 0, links, _unknown_link())
         known = np.asarray(robot.rotor_inertia)
@@ -680,21 +722,21 @@ class Bodies:
 
     @property
     def start(self) -> FloatArray:
-        """(11n,) coordinates of the nominal arm."""
+        """Coordinates (11n,) of the nominal arm."""
         return np.concatenate([self.theta.ravel(), np.zeros(len(self.rotor))])
 
     def parameters(self, u: FloatArray) -> FloatArray:
-        """(11n,) inertial parameters in the order of `RobotModel.parameters(rotor=True)`."""
+        """Return (11n,) the inertial parameters, ordered as `RobotModel.parameters(rotor=True)`."""
         theta, log_rotor, _ = self._split(u)
         return np.concatenate([from_coordinates(theta).ravel(), self.rotor * np.exp(log_rotor)])
 
     def jacobian(self, u: FloatArray) -> FloatArray:
-        """(11n, 11n) ∂parameters/∂u."""
+        """Return (11n, 11n) the Jacobian ∂parameters/∂u."""
         theta, log_rotor, bent = self._split(u)
         return _blocks(coordinate_jacobian(theta) * bent[:, None], self.rotor * np.exp(log_rotor))
 
     def divergence(self, u: FloatArray) -> Local:
-        """Divergence from nominal, by the coordinates (11n,)."""
+        """Return the divergence from the nominal arm as a function of the coordinates (11n,)."""
         theta, log_rotor, bent = self._split(u)
         U, slope = triangle(theta), triangle_jacobian(theta) * bent[..., None, None]
         links, links_gradient = self._links(U, slope)
@@ -708,7 +750,10 @@ class Bodies:
         )
 
     def _links(self, U: FloatArray, slope: FloatArray) -> tuple[float, FloatArray]:
-        """Sum of the links' divergences, |W|² − 2 Σ log Wᵢᵢ − 4 with W = U₀⁻¹U, and gradient."""
+        """Return the sum of the link divergences and its gradient.
+
+        The divergence of a link is |W|² − 2 Σ log Wᵢᵢ − 4 with W = U₀⁻¹U.
+        """
         back = np.linalg.inv(triangle(self.theta))
         W, dW = back @ U, back[:, None] @ slope
         diagonal = np.diagonal(W, axis1=-2, axis2=-1)
@@ -718,7 +763,7 @@ class Bodies:
         return float(value), gradient
 
     def _split(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """θ (n, 10), the rotors' logarithms (n,) and ∂θ/∂u (n, 10), which is diagonal."""
+        """Return θ (n, 10), the logarithms (n,) of the rotors and the diagonal of ∂θ/∂u (n, 10)."""
         n, middle = len(self.rotor), self.theta[:, 0]
         mass = np.exp(2.0 * middle)
         half = 0.5 * np.log(self.mass_factor * np.maximum(1.0, LIGHT * mass.sum() / mass))
@@ -730,7 +775,7 @@ class Bodies:
 
 
 def _blocks(links: FloatArray, rotors: FloatArray) -> FloatArray:
-    """(11n, 11n) with a 10×10 block (n, 10, 10) per link, then the rotors' diagonal (n,)."""
+    """Return the (11n, 11n) block-diagonal matrix of links (n, 10, 10) and rotors (n,)."""
     n = len(rotors)
     full = np.zeros((11 * n, 11 * n))
     for i, block in enumerate(links):
@@ -740,35 +785,38 @@ def _blocks(links: FloatArray, rotors: FloatArray) -> FloatArray:
 
 
 def _driven_inertia(robot: RobotModel) -> FloatArray:
-    """(n,) what each joint accelerates, on average over the workspace [kg·m²]."""
+    """Return (n,) the inertia that each joint accelerates, averaged over the workspace [kg·m²]."""
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (50, robot.n))
     mean = np.mean(np.diagonal(robot.mass_matrix(q), axis1=1, axis2=2), axis=0)
     return np.asarray(np.maximum(mean, 1e-3))
 
 
 def _unknown_link() -> FloatArray:
-    """A link of which the model tells nothing: 1 kg, gyrated 0.1 m about its axis."""
+    """Return the default link without model data: 1 kg with a radius of gyration of 0.1 m."""
     return body_parameters(1.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3))
 
 
 FIRST_DAMPING, MOST_DAMPING = 1e-3, 1e16
 
 LITTLE_DAMPING = 1e-2
-"""Only a step damped no more than this can say that nothing is left to gain."""
+"""Largest damping at which an accepted step may end the minimisation as converged."""
 
 LONGEST_STEP = 3.0
-"""Of any coordinate: they are logarithms and ratios, and beyond lies nothing but overflow."""
+"""Largest change of any coordinate in one step.
+
+Because the coordinates are logarithms and ratios, larger steps would only cause overflow.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Minimum:
-    """Where a minimisation ended.
+    """Result of a minimisation.
 
     Attributes:
-        u: (U,).
-        cost: There.
-        iterations: Steps tried.
-        converged: False when the steps ran out, or got lost, first.
+        u: (U,) coordinates of the minimum.
+        cost: Value of the cost function at the minimum.
+        iterations: Number of steps tried, accepted or rejected.
+        converged: False if the step limit or the damping limit was reached first.
     """
 
     u: FloatArray
@@ -780,17 +828,18 @@ class Minimum:
 def minimise(
     cost: Cost, start: FloatArray, *, iterations: int = 300, tolerance: float = 1e-10
 ) -> Minimum:
-    """The least cost from a start, by Levenberg's and Marquardt's damping.
+    """Return the minimum of a cost function, by Levenberg–Marquardt iterations.
 
-    The damping follows the ratio of gained and promised decrease (Nielsen 1999, as in Madsen,
-    Nielsen & Tingleff, 'Methods for non-linear least squares problems', 2004, algorithm 3.16),
-    scaled by the largest diagonal of the curvature so far (Moré 1978), for on the way to a bound a
-    coordinate's own curvature dies. It ends where a step promises a decrease below `tolerance`
-    of the cost.
+    The damping follows the ratio of actual and predicted decrease (Nielsen 1999, as in Madsen,
+    Nielsen & Tingleff, 'Methods for non-linear least squares problems', 2004, algorithm 3.16). The
+    damping is scaled by the largest diagonal of the curvature so far (Moré 1978), because the
+    curvature of a coordinate vanishes near its bound. The iteration ends if a step predicts a cost
+    decrease below `tolerance` times the cost.
 
-    The same cost as residuals, roots of the divergence included, takes
-    `scipy.optimize.least_squares` more than the 300 steps allowed, at 4 to 25 times the time, for
-    the roots are poor curvature; its `trust-exact` stops 7 to 35 % above from a cold start.
+    With the same cost as residuals, including the roots of the divergence,
+    `scipy.optimize.least_squares` needs more than the 300 allowed steps and 4 to 25 times the time,
+    because the roots have poor curvature. For a cold start, the SciPy method `trust-exact` ends at
+    a cost 7 to 35 % higher.
     """
     u = np.array(start, dtype=np.float64)
     here, damping, growth = cost(u), FIRST_DAMPING, 2.0
@@ -815,7 +864,7 @@ def minimise(
 
 
 def _damped_step(here: Local, damping: FloatArray) -> FloatArray | None:
-    """The damped step; None where rounding leaves no definite matrix, or it leads too far."""
+    """Return the damped step; None if the matrix is not definite or the step is too long."""
     try:
         factor = cho_factor(here.curvature + np.diag(damping), check_finite=False)
     except LinAlgError:

@@ -1,14 +1,15 @@
-"""Friction of DiffNEA: columns whose shape a few numbers bend, with exact derivatives.
+"""Friction laws of DiffNEA: regressor columns with a few nonlinear shape parameters.
 
-Every joint's friction is C(motion; s)·c: coefficients c, of which dissipation keeps some from being
-negative, and shapes s within bounds. Without memory, sgn stands for tanh(q̇/width); with it, z is
-Dahl's state (`hil.estimators.friction_memory`) and τ the torque through the gear. `FORMS` are the
-laws by name; `ArmMotion` and `JointMotion` hold what they depend on.
+The friction of every joint is C(motion; s)·c with coefficients c and bounded shapes s. Coefficients
+of dissipative terms are non-negative. All derivatives with respect to the shapes are exact. In laws
+without memory, sgn denotes tanh(q̇/width). In laws with memory, z is Dahl's state
+(`hil.estimators.friction_memory`) and τ the torque through the gear. `FORMS` contains the laws by
+name; `ArmMotion` and `JointMotion` contain their inputs.
 
-Shapes are searched for by evaluating the columns over and over. `BendingRows` multiplies once what
-does not bend: the Gram matrix of [Y | C | ∂C/∂s·c | τ] of every joint is put together from YᵀY, Yᵀτ
-and τᵀτ and the products with the few columns that do; its Cholesky factor is a small system with
-the same least squares.
+The fit of the shapes evaluates the columns many times. `BendingRows` computes all constant products
+once: for each joint, the Gram matrix of [Y | C | ∂C/∂s·c | τ] is assembled from YᵀY, Yᵀτ, τᵀτ and
+the products with the few variable columns. The Cholesky factor of this matrix is a small system
+with the same least-squares solution.
 """
 
 from __future__ import annotations
@@ -24,22 +25,24 @@ from hil.estimators.friction_memory import Pieces, path_steps
 from hil.estimators.least_squares import System
 
 LEAST_SPEED = 1e-9
-"""Added to |q̇| before a power or a logarithm of it [rad/s]."""
+"""Offset added to |q̇| before a power or a logarithm is computed [rad/s]."""
 
 LONG = 10.0
-"""Length of the second state, as a multiple of the first."""
+"""Length of the second friction state, as a multiple of the length of the first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointMotion:
-    """One joint's motion, all series behind each other; arrays are (N,).
+    """Motion of one joint, all series in sequence; arrays have the shape (N,).
 
     Attributes:
         qd: Velocity [rad/s].
-        sign: Its smoothed sign.
-        transmitted: Torque through the gear: rigid body and load, without friction [N·m].
-        pieces: The way between reversals; None where states are given, or nobody needs any.
-        given: States by multiple of the shortest length, where they are carried, as in a stream.
+        sign: Smoothed sign of the velocity.
+        transmitted: Torque through the gear from rigid body and payload, without friction torque
+            [N·m].
+        pieces: Pieces of the path between reversals; None if states are passed, or if the law has
+            no memory.
+        given: Friction states, by multiple of the shortest length, that a stream passes.
     """
 
     qd: FloatArray
@@ -49,13 +52,16 @@ class JointMotion:
     given: Mapping[float, FloatArray] | None = None
 
     def every(self, k: int) -> JointMotion:
-        """Every k-th sample, with the memory of all."""
+        """Return every k-th sample, with the friction states of all samples."""
         columns = (self.qd, self.sign, self.transmitted)
         qd, sign, transmitted = (np.ascontiguousarray(column[::k]) for column in columns)
         return JointMotion(qd, sign, transmitted, self.pieces and self.pieces.every(k))
 
     def state(self, length: float, multiple: float) -> tuple[FloatArray, FloatArray]:
-        """Dahl's state with `multiple` times the length [rad], and its slope by the length."""
+        """Return Dahl's state for `multiple` times the length [rad], and its derivative.
+
+        The derivative of the state is taken with respect to the length.
+        """
         if self.given is not None:
             return self.given[multiple], np.zeros_like(self.qd)
         assert self.pieces is not None
@@ -65,11 +71,11 @@ class JointMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmMotion:
-    """The motion of all joints; arrays are (N, n), as in `JointMotion`.
+    """Motion of all joints; arrays have the shape (N, n) and the same meaning as in `JointMotion`.
 
     Attributes:
-        steps: Way since the sample before [rad].
-        series: Rows of every series.
+        steps: Joint displacement since the previous sample [rad].
+        series: Row range of every series.
     """
 
     qd: FloatArray
@@ -81,13 +87,13 @@ class ArmMotion:
 
     @classmethod
     def of(cls, data: Dataset, transmitted: FloatArray, width: float) -> ArmMotion:
-        """That of prepared data; `width` [rad/s] smooths the sign."""
+        """Return the motion of a prepared dataset; `width` [rad/s] smooths the sign."""
         qd = data["qd_f"]
         series = tuple(rows for _, rows in data.slices() if rows.stop > rows.start)
         return cls(qd, sign_of(qd, width), transmitted, path_steps(data), series)
 
     def joint(self, j: int) -> JointMotion:
-        """Joint j alone."""
+        """Return the motion of joint j."""
         columns = (self.qd, self.sign, self.transmitted, self.steps)
         qd, sign, transmitted, steps = (np.ascontiguousarray(column[:, j]) for column in columns)
         if self.given is not None:
@@ -97,18 +103,18 @@ class ArmMotion:
 
 
 def sign_of(qd: FloatArray, width: float) -> FloatArray:
-    """tanh(q̇/width), or the hard sign where the width is 0."""
+    """Return tanh(q̇/width), or the discontinuous sign if the width is 0."""
     return np.tanh(qd / width) if width > 0 else np.sign(qd)
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A number that bends columns.
+    """Nonlinear parameter of a friction law.
 
     Attributes:
-        name: As parameters are named.
-        start: Where the search begins.
-        low, high: Bounds; the search goes by logarithm between them.
+        name: Name of the parameter.
+        start: Initial value of the fit.
+        low, high: Lower and upper bound; the fit uses the logarithm of the parameter between them.
     """
 
     name: str
@@ -118,20 +124,20 @@ class Shape:
 
 
 Columns = Callable[[JointMotion, FloatArray], tuple[FloatArray, FloatArray]]
-"""Motion of N samples, s (S,) → C (N, k) and ∂C/∂s (N, k, S)."""
+"""Function from a motion of N samples and shapes s (S,) to C (N, k) and ∂C/∂s (N, k, S)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """A friction law.
+    """Friction law with linear coefficients and nonlinear shapes.
 
     Attributes:
         terms: Names of the k coefficients per joint.
-        signs: (k,) true where a coefficient cannot be negative.
-        shapes: What bends the columns; empty for a law that is linear.
-        columns: Evaluates them.
-        multiples: Lengths of the states it carries, as multiples of its first shape; empty for
-            a law without memory.
+        signs: (k,) mask of the coefficients that must be non-negative.
+        shapes: Nonlinear parameters; empty for a linear law.
+        columns: Function that evaluates the columns.
+        multiples: Lengths of the friction states, as multiples of the first shape; empty for a law
+            without memory.
     """
 
     terms: tuple[str, ...]
@@ -142,18 +148,21 @@ class Form:
 
     @property
     def nonnegative(self) -> BoolArray:
-        """(k,) which coefficients cannot be negative."""
+        """Mask (k,) of the coefficients that must be non-negative."""
         return np.array(self.signs)
 
     def evaluate(self, motion: ArmMotion, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """C (N, n, k) and ∂C/∂s (N, n, k, S) of all joints with shapes (n, S)."""
+        """Return C (N, n, k) and ∂C/∂s (N, n, k, S) of all joints with shapes (n, S)."""
         found = [self.columns(motion.joint(j), shape) for j, shape in enumerate(shapes)]
         columns, slopes = zip(*found, strict=True)
         return np.stack(columns, axis=1), np.stack(slopes, axis=1)
 
 
 def spread(columns: FloatArray) -> FloatArray:
-    """(N·n, n·k) regressor, sample-major, of columns (N, n, k) that belong to their own joint."""
+    """Return the sample-major regressor (N·n, n·k) of the columns (N, n, k) of all joints.
+
+    Each friction column affects only the torque of its own joint.
+    """
     samples, joints, k = columns.shape
     out = np.zeros((samples, joints, joints, k))
     out[:, np.arange(joints), np.arange(joints)] = columns
@@ -215,7 +224,7 @@ def _memory(motion: JointMotion, shape: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _power(motion: JointMotion, exponent: float) -> tuple[FloatArray, FloatArray]:
-    """sgn·|q̇|^α and its derivative by α."""
+    """Return sgn·|q̇|^α and its derivative with respect to α."""
     speed = np.abs(motion.qd) + LEAST_SPEED
     law = motion.sign * speed**exponent
     return law, law * np.log(speed)
@@ -241,23 +250,30 @@ FORMS = {
     "stribeck-power": Form(_TERMS, _SIGNS, (*_STRIBECK, _EXPONENT), _stribeck_power),
     "memory": _REMEMBERING,
 }
-"""Friction laws by name: Fc, Fv, offset; [Fc + (Fs − Fc) exp(−|q̇/vs|^δ)] sgn + Fv q̇ + offset;
-the same with Fv |q̇|^α sgn (PINN paper eq. 15–18); and [Fc + (Fs − Fc) exp(−|q̇/vs|) + g |τ|] z
-+ Fp |q̇|^α sgn + Fv q̇ + offset, with a longer state z₁₀, by itself and times |τ|."""
+"""Friction laws by the name that the setting `friction` accepts.
+
+The law `coulomb-viscous` has the terms Fc, Fv and offset. The law `stribeck` is [Fc + (Fs − Fc)
+exp(−|q̇/vs|^δ)] sgn + Fv q̇ + offset. The law `stribeck-power` has the term Fv |q̇|^α sgn instead
+of Fv q̇ (PINN paper eq. 15–18). The law `memory` is [Fc + (Fs − Fc) exp(−|q̇/vs|) + g |τ|] z + Fp
+|q̇|^α sgn + Fv q̇ + offset, plus a state z₁₀ of ten times the length, alone and times |τ|.
+"""
 
 JITTER = 1e-13
-"""Of a Gram matrix's diagonal: columns may coincide, such as those of shapes without effect."""
+"""Relative increase of the diagonal of a Gram matrix, which keeps the matrix regular.
+
+Columns may coincide, for example the columns of shapes that have no effect.
+"""
 
 
 class BendingRows:
-    """Rows kept in memory to evaluate friction columns over and over.
+    """Rows kept in memory for repeated evaluation of the friction columns.
 
     Args:
         base: (N, n, b) base regressor.
         target: (N, n) torques [N·m].
-        motion: Of all rows, for friction with memory needs them all.
+        motion: Motion of all rows, because friction with memory depends on all of them.
         form: Friction law.
-        every: Only every so manieth row is fitted; `base` and `target` have those alone.
+        every: Down-sampling factor; `base` and `target` contain only every `every`-th row.
     """
 
     def __init__(
@@ -271,7 +287,7 @@ class BendingRows:
         self._motion = [motion.joint(j).every(every) for j in range(self._n)]
 
     def __call__(self, values: FloatArray) -> System:
-        """The system at values (b + nk + ns,): its columns are those of the values."""
+        """Return the system at the parameter values (b + nk + ns,), with one column per value."""
         k, s = len(self._form.terms), len(self._form.shapes)
         c, shapes = np.split(values[self._b :], [self._n * k])
         c, shapes = c.reshape(self._n, k), shapes.reshape(self._n, s)
@@ -288,14 +304,14 @@ class BendingRows:
         return X, np.concatenate([block[:, self._b] for block in blocks]), joint
 
     def deviation(self, values: FloatArray) -> FloatArray:
-        """(n,) root mean square of each joint's residual at the values [N·m]."""
+        """Return (n,) the root mean square of the residual of each joint at the values [N·m]."""
         X, y, joint = self(values)
         linear = self._b + self._n * len(self._form.terms)
         squares = np.bincount(joint, (y - X[:, :linear] @ values[:linear]) ** 2)
         return np.asarray(np.sqrt(squares / len(self._fixed[0])))
 
     def _joint(self, j: int, c: FloatArray, shape: FloatArray) -> FloatArray:
-        """(m, m) triangle of [Y | τ | C | ∂C/∂s·c] of a joint."""
+        """Return the (m, m) triangular factor of [Y | τ | C | ∂C/∂s·c] of a joint."""
         C, slope = self._form.columns(self._motion[j], shape)
         bent = np.column_stack([C, np.einsum("Nks,k->Ns", slope, c)])
         across = self._fixed[j].T @ bent

@@ -1,6 +1,6 @@
-"""Quantiles and tails of Student's t, the normal and Fisher's F distribution.
+"""Quantiles and tail probabilities of Student's t, the normal and Fisher's F distribution.
 
-They are those of `scipy.stats`, to the last bit, which takes a second to import.
+The functions return the same values as `scipy.stats`, whose import takes a second.
 """
 
 from __future__ import annotations
@@ -16,26 +16,29 @@ Values = FloatArray | float
 
 
 def student_quantile(probability: Values, degrees: Values) -> Any:
-    """Return the value that Student's t is below with a probability above 0, shaped alike."""
+    """Return the quantile of Student's t distribution for a probability above 0.
+
+    The returned array has the broadcast shape of the arguments.
+    """
     return special.stdtrit(degrees, probability)
 
 
 def normal_quantile(probability: Values) -> Any:
-    """Return the value that a standard normal variable is below with this probability."""
+    """Return the quantile of the standard normal distribution for a probability."""
     return special.ndtri(probability)
 
 
 def student_tail(value: Values, degrees: Values) -> Any:
-    """Return the probability that Student's t exceeds a value."""
+    """Return the probability that a Student's t variable exceeds a value."""
     return special.stdtr(degrees, -np.asarray(value))
 
 
 def fisher_tail(ratio: float, degrees: float, degrees_below: float) -> float:
-    """Return the probability that Fisher's F exceeds a ratio of two variances.
+    """Return the probability that a variable with Fisher's F distribution exceeds `ratio`.
 
     Args:
-        ratio: Of the two variances [1]; one that rounding has made negative counts as 0.
-        degrees: Of freedom of the numerator.
-        degrees_below: Of freedom of the denominator.
+        ratio: Ratio of two variances [1]; a negative value due to rounding counts as 0.
+        degrees: Number of degrees of freedom of the numerator.
+        degrees_below: Number of degrees of freedom of the denominator.
     """
     return float(special.fdtrc(degrees, degrees_below, max(ratio, 0.0)))

@@ -1,11 +1,12 @@
-"""The curve of a drive, torque over motor current: eq. 16 of the static paper.
+"""Torque of a drive as a function of its motor current: eq. 16 of the static paper.
 
-τ = K₂·i²·sign(i) + K₁·i + K₀ with K₁ > 0 has exactly one current for a torque as long as the torque
-grows with the current. With K₂ < 0, a drive that saturates, it stops growing at i = K₁/(2·abs(K₂)),
-the turning point; beyond the torque there, τ − K₀ = K₁²/(4·abs(K₂)), no current makes that torque.
+τ = K₂·i²·sign(i) + K₁·i + K₀ with K₁ > 0 has exactly one current for each torque as long as the
+torque increases with the current. For K₂ < 0 (a saturating drive), the torque stops increasing at
+the turning point i = K₁/(2·abs(K₂)). No current produces a torque beyond τ − K₀ = K₁²/(4·abs(K₂)).
 
-`fit_currents` identifies gravity and the curve together, with K₁ given, by least squares on the
-predicted current i = f⁻¹(X·β + τ_load; K₁, K₂). X holds the offset, which is −K₀.
+`fit_currents` fits gravity and curve together for a given K₁, by least squares on the predicted
+current i = f⁻¹(X·β + τ_load; K₁, K₂). The regressor X includes the offset column, whose coefficient
+is −K₀.
 """
 
 from __future__ import annotations
@@ -20,25 +21,26 @@ from hil.estimators.covariance import Clustered, ClusterSums, clustered_covarian
 from hil.estimators.least_squares import weighted_least_squares
 
 Constants = FloatArray | float
-"""(n,) one number per joint, or the same for all."""
+"""Constant with one value per joint (n,), or with one value for all joints."""
 
 
 def has_current(torque: FloatArray, k1: Constants, k2: Constants, k0: Constants = 0.0) -> BoolArray:
-    """Whether there is a current for each torque."""
+    """Return whether some motor current produces each torque."""
     return np.asarray(_discriminant(torque - k0, k1, k2) >= 0.0)
 
 
 def nearest_current(
     torque: FloatArray, k1: Constants, k2: Constants, k0: Constants = 0.0
 ) -> FloatArray:
-    """Motor current [A] of joint torques [N·m], the inverse of eq. 16 on its growing branch.
+    """Return the motor current [A] of joint torques [N·m]: the inverse of eq. 16.
 
-    Elementwise with broadcasting; for a torque that no current makes, the current at the turning
-    point. K₁ must be above 0, which is for the caller to see to.
+    The inverse uses the increasing branch of the curve, computed elementwise with broadcasting. For
+    a torque that no current produces, the result is the current at the turning point. The caller
+    must ensure that K₁ is positive.
     """
     rest = np.asarray(torque - k0)
     root = np.sqrt(np.maximum(_discriminant(rest, k1, k2), 0.0))
-    # With the sum below the fraction line, K₂ = 0 is no special case and nothing cancels.
+    # The sum in the denominator also works for K₂ = 0 and avoids cancellation.
     current: FloatArray = 2.0 * rest / (k1 + root)
     with np.errstate(divide="ignore", invalid="ignore"):
         turning = np.copysign(k1 / (2.0 * np.abs(k2)), rest)
@@ -50,27 +52,30 @@ def _discriminant(rest: FloatArray, k1: Constants, k2: Constants) -> FloatArray:
 
 
 def slope_at(current: FloatArray, k1: Constants, k2: Constants) -> FloatArray:
-    """Torque per current [N·m/A] at a current; 0 at the turning point."""
+    """Return the torque per current [N·m/A] at a current; 0 at the turning point."""
     slope: FloatArray = k1 + 2.0 * k2 * np.abs(current)
     return slope
 
 
 VISIBLE = 0.1
-"""Share of K₁; at a drive's largest current K₂·i is a few percent of it."""
+"""Maximum standard error of K₂·i at the largest current, as a share of K₁, for K₂ to be estimated.
+
+For real drives, K₂·i at the largest current is a few percent of K₁.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Currents:
-    """One regression: currents at rest and what they hold.
+    """Data of one regression: static currents and the torques that these currents hold.
 
     Attributes:
-        X: (N, p) regressor of the torque [N·m], offsets included.
-        load: (N,) torque of the declared load [N·m].
-        current: (N,) measured [A].
-        k1: (N,) K₁ of the row's joint [N·m/A].
-        joint: (N,) joint of each row.
-        pose: (N,) pose of each row, what is clustered.
-        weight: (N,).
+        X: (N, p) regressor of the torque [N·m], including offsets.
+        load: (N,) torque of the declared payload [N·m].
+        current: (N,) measured currents [A].
+        k1: (N,) constant K₁ [N·m/A] of the joint to which each row belongs.
+        joint: (N,) index of the joint to which each row belongs.
+        pose: (N,) index of the pose of each row; the errors of one pose form a cluster.
+        weight: (N,) weights of the rows.
     """
 
     X: FloatArray
@@ -83,15 +88,15 @@ class Currents:
 
 
 class CurrentFit(NamedTuple):
-    """Where the error of the predicted current is least.
+    """Least-squares solution for the predicted current.
 
     Attributes:
-        coefficients: (p,) torque [N·m] per column of X.
-        squares: (k,) K₂ [N·m/A²] of the joints asked for.
-        clustered: Covariance (p + k, p + k), the coefficients first, and degrees of freedom.
-        residual: (N,) measured less predicted current [A].
-        rank, condition: Of the Jacobian, columns scaled.
-        jacobian: (N, p + k) of the predicted current.
+        coefficients: (p,) torque [N·m] per unit of each column of X.
+        squares: (k,) constant K₂ [N·m/A²] of each requested joint.
+        clustered: Covariance (p + k, p + k) of coefficients and squares, and degrees of freedom.
+        residual: (N,) measured minus predicted current [A].
+        rank, condition: Rank and condition number of the column-scaled Jacobian.
+        jacobian: (N, p + k) Jacobian of the predicted current.
     """
 
     coefficients: FloatArray
@@ -104,14 +109,14 @@ class CurrentFit(NamedTuple):
 
 
 def fit_currents(data: Currents, squares: list[int]) -> CurrentFit:
-    """Least squares on the predicted current.
+    """Return the least-squares solution for the predicted current.
 
     Args:
-        data: The rows.
-        squares: Joints whose K₂ is estimated; it is 0 for the others.
+        data: Rows of the regression.
+        squares: Joints whose K₂ is estimated; K₂ of all other joints is 0.
 
     Raises:
-        FitError: It does not settle.
+        FitError: The iteration of the fit does not converge.
     """
     theta = _settled(data, squares)
     J, residual = _linearised(data, theta, squares)
@@ -123,10 +128,10 @@ def fit_currents(data: Currents, squares: list[int]) -> CurrentFit:
 
 
 def _settled(data: Currents, squares: list[int]) -> FloatArray:
-    """Coefficients (p,) and K₂ (k,) at which the error is least."""
+    """Return the coefficients (p,) and K₂ (k,) with the smallest error of the predicted current."""
     torque = data.k1 * data.current - data.load
     straight = weighted_least_squares(data.X, torque, data.weight / data.k1**2).coefficients
-    if not squares:  # the current of a drive that does not bend is linear in them
+    if not squares:  # the current of a linear drive is linear in the coefficients
         return straight
     from scipy.optimize import least_squares
 
@@ -136,14 +141,14 @@ def _settled(data: Currents, squares: list[int]) -> FloatArray:
         np.append(straight, np.zeros(len(squares))),
         lambda theta: -root[:, None] * _linearised(data, theta, squares)[0],
         x_scale="jac",
-        # As far as rounding allows: the covariance takes the gradient for zero.
+        # The tolerances are minimal, because the covariance assumes a gradient of zero.
         ftol=1e-15,
         xtol=1e-15,
         gtol=1e-15,
     )
     if not (minimum.success and np.all(_predicted(data, minimum.x, squares)[1])):
         raise FitError(
-            "the drive's curve (K₂ of eq. 16) did not settle: the data tell too little about it",
+            "the drive curve (K₂ of eq. 16) did not converge: the data hardly determine it",
             hint="fit with square: zero, or record poses with larger gravity torques",
         )
     return np.asarray(minimum.x)
@@ -152,7 +157,7 @@ def _settled(data: Currents, squares: list[int]) -> FloatArray:
 def _predicted(
     data: Currents, theta: FloatArray, squares: list[int]
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
-    """Current of each row, whether there is one for its torque, and its slope, each (N,)."""
+    """Return predicted current, whether this current exists, and slope of each row, all (N,)."""
     p = data.X.shape[1]
     k2 = np.zeros(len(data.current))
     for number, joint in enumerate(squares):
@@ -165,26 +170,27 @@ def _predicted(
 def _linearised(
     data: Currents, theta: FloatArray, squares: list[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Jacobian (N, p + k) of the predicted current, and the residual (N,)."""
+    """Return the Jacobian (N, p + k) of the predicted current, and the residual (N,)."""
     current, exists, slope = _predicted(data, theta, squares)
     own = data.joint[:, None] == np.array(squares, dtype=np.int64)
     by_k2 = np.where(own, -(current * np.abs(current))[:, None], 0.0)
-    # Beyond the turning point the current stays where it is, whatever the torque.
+    # Beyond the turning point, the predicted current is constant.
     per_torque = np.divide(1.0, slope, out=np.zeros_like(slope), where=exists & (slope > 0.0))
     J: FloatArray = np.hstack([data.X, by_k2]) * per_torque[:, None]
     return J, data.current - current
 
 
 def linear_residual(data: Currents) -> FloatArray:
-    """(N,) error of the currents of a drive that does not bend."""
+    """Return (N,) the current error of a linear drive."""
     return _linearised(data, _settled(data, []), [])[1]
 
 
 def visible_squares(data: Currents, joints: list[int]) -> list[int]:
-    """Those of the joints whose K₂ the data could show if the drive bent strongly.
+    """Return the joints for which the data could show a strong curvature K₂.
 
-    To first order about a linear drive: the standard error of K₂·i at the joint's largest current
-    must be below `VISIBLE` of K₁. With less, the curve is fitted to friction.
+    The visibility test is of first order about a linear drive: the standard error of K₂·i at the
+    largest current of the joint must be below `VISIBLE` times K₁. If the standard error of K₂·i
+    were larger, a fitted curve would describe friction.
     """
     theta = np.append(_settled(data, []), 0.0) if joints else np.empty(0)
     return [joint for joint in joints if _is_visible(data, theta, joint)]

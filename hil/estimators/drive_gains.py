@@ -1,11 +1,12 @@
-"""Drive gains, the torque per motor current of every joint: where they come from and where they go.
+"""Drive gains (torque per motor current of each joint): identification, storage and use.
 
-A fit in torques needs them, and data sheets rarely have them. Two measurements find them:
-`calibrate_gains` from loads of known mass (`Gains`), `controller_gains` from what a controller
-commands (`ControllerGains`). Either result prints the lines of YAML that a station or an import map
-takes; `write_gains` and `read_gains` keep them in a file (`hil gains -o`, `hil fit --gains`), and
-`DriveGains.of` puts them into a recording. The gain is the slope of the drive's curve at no
-current, which is in `hil.estimators.drive_curve`.
+A fit in torques needs drive gains, and data sheets rarely contain them. Two methods identify drive
+gains: `calibrate_gains` uses payloads of known mass (`Gains`), and `controller_gains` uses the
+torques and currents that a controller commands (`ControllerGains`). Each of the two methods
+provides the YAML lines for a station or an import map. `write_gains` and `read_gains` store drive
+gains in a file (`hil drive-gains -o`, `hil fit --gains`), and `DriveGains.of` adds them to a
+recording. The drive gain is the slope of the drive curve at zero current; see
+`hil.estimators.drive_curve`.
 """
 
 from __future__ import annotations
@@ -39,37 +40,40 @@ KEY, SOURCE_KEY = "drive_gains_nm_a", "drive_gains_source"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveGains:
-    """Torque per current of every joint.
+    """Drive gains: torque per motor current of every joint.
 
     Attributes:
-        values: (n,) [N·m/A], above 0.
-        source: Where they come from.
+        values: (n,) drive gains [N·m/A], above 0.
+        source: Text that states the source of the drive gains.
     """
 
     values: FloatArray
     source: str
 
     def of(self, dataset: Dataset) -> Dataset:
-        """The recording with these gains instead of those it declares.
+        """Return the recording with these drive gains instead of its declared gains.
 
         Raises:
-            DataError: They are of another number of joints, or the recording holds torques.
+            DataError: The number of gains differs from the number of joints, or the recording
+                contains torques.
         """
         if dataset.effort_kind != "current":
             raise DataError(
-                "drive gains turn currents into torques, but the recording holds torques",
-                hint="leave the gains out",
+                "drive gains turn currents into torques, but the recording contains torques",
+                hint="leave out the gains",
             )
         if len(self.values) != dataset.n_joints:
             raise DataError(
-                f"{len(self.values)} drive gains were given for {dataset.n_joints} joints",
-                hint="give one per joint, base to flange",
+                f"expected {dataset.n_joints} drive gains, one per joint, got {len(self.values)}",
+                hint="list one gain per joint, from base to flange",
             )
         return replace(dataset, drive_gains=self.values, drive_gains_source=self.source)
 
 
 def read_gains(path: Path) -> DriveGains:
-    """The gains in a YAML file: those of `hil gains -o`, of an import map, or of your own.
+    """Return the drive gains of a YAML file, such as an import map.
+
+    The command `hil drive-gains -o` writes such a file.
 
     Raises:
         SpecError: The file cannot be read, or has no `drive_gains_nm_a` of positive numbers.
@@ -80,8 +84,8 @@ def read_gains(path: Path) -> DriveGains:
     numbers = listed_gains if isinstance(listed_gains, list) else []
     if not numbers or not all(_is_gain(number) for number in numbers):
         raise SpecError(
-            f"{path}: holds no {KEY}: a list of numbers above 0, one per joint",
-            hint="write it with: hil gains SOURCE -o gains.yaml",
+            f"{path}: {KEY} is missing, or is not a list of numbers above 0, one per joint",
+            hint="write such a file with: hil drive-gains SOURCE -o gains.yaml",
         )
     source = str(document.get(SOURCE_KEY) or path.name)
     return DriveGains(np.array(numbers, dtype=np.float64), source)
@@ -94,33 +98,36 @@ def _is_gain(number: object) -> bool:
 
 
 def write_gains(path: Path, lines: Sequence[str]) -> None:
-    """Write the lines of `Gains.yaml_lines`.
+    """Write the lines of `Gains.yaml_lines` to a new YAML file.
 
     Raises:
-        DataError: There are none: a joint's gain is not known.
-        RecordingError: The file exists already.
+        DataError: There are no YAML lines, because the gain of a joint is unknown.
+        RecordingError: The file for the drive gains already exists.
     """
     if not lines:
         raise DataError(
-            "the gains of some joints are not known, so no file was written",
-            hint="declare gains in the import map; joints that do not tell keep those",
+            "the drive gains of some joints are unknown, so no file was written",
+            hint="declare drive_gains_nm_a in the import map: joints without a result keep the "
+            "declared gain",
         )
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write("\n".join(lines) + "\n")
     except FileExistsError:
-        raise RecordingError(f"{path} exists already", hint="choose another -o") from None
+        raise RecordingError(
+            f"{path} already exists", hint="choose a different file for -o"
+        ) from None
 
 
 KEPT = "as declared before"
-"""In the source of the gains, of joints whose gain was not determined."""
+"""Text in the source of drive gains that marks joints whose gain was not determined."""
 
 CALIBRATED = ("calibrated with ", "the controller's current per torque ")
-"""What the sources begin with that `hil gains` writes."""
+"""Beginnings of the source texts that `hil drive-gains` writes."""
 
 
 def calibrated(source: str) -> bool:
-    """Whether gains of this source were all measured on the arm itself."""
+    """Return whether a source text states that all gains were measured on the arm itself."""
     return source.startswith(CALIBRATED) and KEPT not in source
 
 
@@ -131,15 +138,16 @@ def gain_lines(
     declared: FloatArray | None,
     source: str,
 ) -> list[str]:
-    """`drive_gains_nm_a` and its source for a station or an import map.
+    """Return the YAML lines with drive gains and source, for a station or an import map.
 
     Args:
-        names: Length n, the joints.
+        names: Names of the n joints.
         gain: (n,) measured gains [N·m/A].
-        reasons: Length n, why a joint's gain is not determined; empty where it is.
-        declared: (n,) gains that joints which were not determined keep, or None: then there are
-            no lines unless all were, because a map needs a gain for every joint.
-        source: Where the gains come from, in words.
+        reasons: Reason why the gain of each joint is not determined; empty for a determined gain.
+        declared: (n,) declared gains, used for joints whose gain is not determined. If `declared`
+            is None, no lines are returned unless all gains are determined, because a map needs a
+            gain for every joint.
+        source: Text that states the source of the gains.
     """
     other = [name for name, reason in zip(names, reasons, strict=True) if reason]
     if declared is None and other:
@@ -152,49 +160,57 @@ def gain_lines(
 
 
 def listed(values: FloatArray) -> list[float | None]:
-    """Numbers for JSON; what is not determined is null."""
+    """Return the numbers as JSON values; None replaces numbers that are not finite."""
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
 LEAST_POSES = 5
 
 LEAST_TORQUE = 0.01
-"""Torques below this [N·m] are rounding of the load's geometry."""
+"""Torque [N·m] below which a payload counts as having no effect on a joint; due to rounding."""
 
 NO_TORQUE = (
-    "the loads add no torque about its axis: it is vertical, or goes through their centres of mass"
+    "the payloads cause no torque about the axis of this joint, which is vertical or passes "
+    "through their centres of mass"
 )
 
 MOST_ERROR = 0.05
-"""Relative standard error of a gain beyond which it is not called determined. A gain that passes is
-twenty standard errors away from 0."""
+"""Maximum relative standard error of a gain that counts as determined.
+
+A gain with this maximum relative error differs from 0 by twenty standard errors.
+"""
 
 NOT_POSITIVE = (
-    "the current falls where the loads' torque rises: the current or the joint counts in the other "
-    "direction than the robot model, or the mass or centre of a load is wrong"
+    "the current falls when the payload torque rises: current or joint have the opposite sign to "
+    "the robot model, or a declared mass or centre of mass is wrong"
 )
 
 MOST_BEND_ERROR = 0.03
-"""Standard error of K₂·i at the largest current, as a share of the gain; beyond it K₂ says nothing
-about a drive, which bends by a few percent."""
+"""Maximum standard error of K₂·i at the largest current, as a share of the gain.
+
+If the standard error of K₂·i is larger, K₂ is not reported, because real drive curves deviate from
+a line by only a few percent.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gains:
-    """Torque per current of every joint, NaN where the loads do not tell.
+    """Drive gain of every joint, identified from known payloads; NaN if not determined.
 
     Attributes:
-        joint_names: Length n.
-        gain: (n,) torque the loads add per current they add [N·m/A]: what a linear model needs.
-        gain_error: (n,) its standard error, clustered by pose, given exact loads.
-        k1, k1_error: (n,) K₁ of eq. 16, the gain at no current [N·m/A].
-        k2, k2_error: (n,) K₂ of eq. 16 [N·m/A²].
-        reasons: Why a joint's gain is not determined; empty where it is.
-        masses: The loads [kg].
-        poses: How many poses were compared.
-        both_sides: Whether each was approached from both sides.
-        declared: (n,) gains the recording declares, or None.
-        notes: What else to know, for people.
+        joint_names: Names of the n joints.
+        gain: (n,) additional torque of the payloads per additional current [N·m/A]; this gain is
+            for models with a linear drive.
+        gain_error: (n,) standard error of `gain`, clustered by pose, for exactly known payloads.
+        k1, k1_error: (n,) constant K₁ of eq. 16, which is the gain at zero current, and its
+            standard error [N·m/A].
+        k2, k2_error: (n,) constant K₂ of eq. 16 and its standard error [N·m/A²].
+        reasons: Reason why the gain of each joint is not determined; empty for a determined gain.
+        masses: List of the payload masses [kg].
+        poses: Number of poses that were compared.
+        both_sides: Whether each pose was approached from both directions.
+        declared: (n,) gains that the recording declares; None without declared gains.
+        notes: List of notes for the user.
     """
 
     method: ClassVar[str] = "known-loads"
@@ -215,11 +231,11 @@ class Gains:
 
     @property
     def determined(self) -> BoolArray:
-        """(n,) which gains the loads tell."""
+        """Mask (n,) of the joints whose gain is determined."""
         return np.array([not reason for reason in self.reasons], dtype=bool)
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil gains --json`; what is not determined is null."""
+        """Return the result for `hil drive-gains --json`; undetermined values are None."""
         return {
             "method": self.method,
             "joint_names": list(self.joint_names),
@@ -243,9 +259,9 @@ class Gains:
         }
 
     def yaml_lines(self) -> list[str]:
-        """`drive_gains_nm_a` and its source for a station or an import map.
+        """Return the YAML lines with drive gains and source, for a station or an import map.
 
-        Joints that were not determined keep the gain the recording declares.
+        Joints whose gain is not determined keep the gain that the recording declares.
         """
         masses = ", ".join(f"{mass:g}" for mass in self.masses)
         source = f"calibrated with {masses} kg at {self.poses} poses"
@@ -253,35 +269,38 @@ class Gains:
 
 
 def calibrate_gains(dataset: Dataset, robot: RobotModel) -> Gains:
-    """Drive gains from dwells at the same poses under at least two loads of known mass.
+    """Return drive gains from dwells at the same poses with at least two known payloads.
 
-    What the load adds to a joint's torque follows from its mass, its centre and the positions; what
-    it adds to the current is measured. Everything else cancels in the difference: the arm's own
-    gravity, offsets, and the friction that a dwell is left with, which the same pose approached the
-    same way leaves nearly alike.
+    The additional torque of a payload at each joint follows from its mass, its centre of mass and
+    the joint positions. The additional current that a payload causes is measured. In the difference
+    between payloads, everything else cancels: the gravity of the arm, offsets, and most of the
+    static friction, which is nearly equal for the same pose and approach direction.
 
-    Friction that grows with the transmitted torque does not cancel: approached from below, a joint
-    holds a few percent of the load by friction, from above as many percent more by current. The
-    mean of both approaches is free of it; with one approach only, it stays in the gain and a note
-    says so.
+    Friction that grows with the transmitted torque does not cancel in the difference. If a pose is
+    approached from below, friction holds a few percent of the payload; if the pose is approached
+    from above, the current is larger by the same percentage. The mean of both approach directions
+    does not contain the friction that grows with the torque. With only one approach direction, this
+    friction remains in the gain, and a note reports the remaining error.
 
-    Currents carry the noise, torques are exact. Torque regressed on current would give gains that
-    are too small; so the torques serve as instruments (two-stage least squares): for eq. 16
-    differenced, Δτ = K₁·Δi + K₂·Δ(i²·sign i), they are Δτ itself and Δ(τ̂·abs(τ̂)) of the robot
-    model's own τ̂.
+    The currents contain noise, whereas the torques are exact. A regression of torque on current
+    would therefore give gains that are too small. To avoid this bias, the torques serve as
+    instruments (two-stage least squares). The instruments of the differenced eq. 16, Δτ = K₁·Δi +
+    K₂·Δ(i²·sign i), are Δτ and Δ(τ̂·abs(τ̂)), with τ̂ the static torque of the robot model.
 
     Args:
-        dataset: Motor currents; each series' *declared* load is taken as exact.
-        robot: Kinematics say what torque a load makes. Masses serve as instruments, and where a
-            pose under load is a little off, for what that changes.
+        dataset: Dwells with motor currents, recorded with known payloads. The declared payload of
+            each series is assumed to be exact.
+        robot: Robot model. The payload torques follow from the kinematics of the robot model. The
+            masses of the robot model are used for the instruments, and to correct small differences
+            between the positions of a pose.
 
     Raises:
-        FitError: The efforts are no currents, not finite, of another robot or cannot be; or there
-            are not two loads at five poses that were approached the same way.
+        FitError: The efforts are torques, not finite, impossible, or of a different robot. Fewer
+            than five poses were held with two payloads and the same approach direction.
     """
     if dataset.effort_kind != "current":
         raise FitError(
-            f"drive gains are torque per current, the data hold a {dataset.effort_kind}",
+            f"drive gains are torque per current, the data contain a {dataset.effort_kind}",
             hint="record motor currents",
         )
     require_robot(dataset, robot)
@@ -291,9 +310,9 @@ def calibrate_gains(dataset: Dataset, robot: RobotModel) -> Gains:
     poses = len(set(pairs.pose.tolist()))
     if poses < LEAST_POSES:
         raise FitError(
-            f"{poses} poses with two loads and the same approach are too few: gains need at least "
-            f"{LEAST_POSES}, better 40",
-            hint="run experiments/ur5_gains.yaml, or the same dwell program with each load",
+            f"{poses} poses with two payloads and the same approach direction are too few: drive "
+            f"gains need at least {LEAST_POSES}, better 40",
+            hint="run experiments/ur5_gains.yaml, or the same dwell program with each payload",
         )
     joints = [_of_joint(pairs, j) for j in range(dataset.n_joints)]
     return Gains(
@@ -333,7 +352,8 @@ def _of_joint(pairs: GainPairs, j: int) -> _Joint:
     if not error < MOST_ERROR * abs(gain):
         estimate = f"{gain:.3g} ± {error:.2g} N·m/A"
         return _Joint(
-            reason=f"the loads add at most {most:.2g} N·m, too little against friction: {estimate}"
+            reason=f"the payloads add at most {most:.2g} N·m, too little compared with friction: "
+            f"{estimate}"
         )
     if gain <= 0:
         return _Joint(reason=f"{gain:.3g} ± {error:.2g} N·m/A is not above 0: {NOT_POSITIVE}")
@@ -346,30 +366,33 @@ def _of_joint(pairs: GainPairs, j: int) -> _Joint:
 
 
 SAME_POSE_RAD = 0.01
-"""Positions further apart are another pose."""
+"""Largest difference of joint positions between dwells of the same pose [rad]."""
 
 ONE_SIDED = (
-    "poses were not approached from both sides: friction that grows with the load is part of the "
+    "not all poses were approached from both directions: load-dependent friction remains in the "
     "gains, a few percent of them; record with approach: both"
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GainPairs:
-    """What a load adds to the lightest one, a row per pose and load (approaches averaged).
+    """Differences between a heavier and the lightest payload, one row per pose and payload.
+
+    Each row is the mean over the approach directions.
 
     Attributes:
-        torque: (N, n) by the load's mass and centre, and by the arm's weight where the load made
-            it stand elsewhere [N·m].
-        current: (N, n) measured [A].
-        square: (N, n) the same of i²·sign(i) [A²].
-        instrument: (N, n) the same of τ·abs(τ), τ by the robot model at rest [N²·m²].
-        pose: (N,) number of the pose.
-        added: (n,) the most that the loads themselves add [N·m].
+        torque: (N, n) difference of torques from the payload and from the weight of the arm, whose
+            positions may differ slightly between payloads [N·m].
+        current: (N, n) difference of measured currents [A].
+        square: (N, n) difference of i²·sign(i), with i the measured current [A²].
+        instrument: (N, n) difference of τ·abs(τ), with τ the static torque of the robot model
+            [N²·m²].
+        pose: (N,) index of the pose of each row.
+        added: (n,) largest additional torque of the payloads alone [N·m].
         largest: (n,) largest current [A].
-        masses: The loads [kg], ascending.
-        both_sides: Whether every row is the mean of both approaches.
-        notes: For people.
+        masses: Masses of the payloads [kg], ascending.
+        both_sides: Whether every row is the mean of two approach directions.
+        notes: List of notes for the user.
     """
 
     torque: FloatArray
@@ -385,22 +408,24 @@ class GainPairs:
 
 
 def paired(dwells: Dataset, robot: RobotModel) -> GainPairs:
-    """Pair the dwells of each heavier load with those of the lightest one.
+    """Return the differences between dwells with each heavier and with the lightest payload.
 
-    An arm whose controller gives way stands a little lower with a load, and its own weight then
-    pulls differently, always in the same sense. The robot model says by how much, so that is taken
-    into account; at `SAME_POSE_RAD` it is up to 3 % of what a load adds, and masses that are a
-    tenth wrong leave a tenth of that.
+    An arm with a compliant controller stands a little lower with a payload, so its own weight
+    causes different torques, always with the same sign. The masses of the robot model are used to
+    correct the effect of these position differences. At a position difference of `SAME_POSE_RAD`,
+    the weight of the arm changes the result by up to 3 % of the payload torque. If the masses of
+    the robot model are wrong by 10 %, a tenth of this change remains after the correction.
 
     Raises:
-        FitError: All dwells are under the same load.
+        FitError: All dwells have the same payload.
     """
     loads = sorted({c.payload for c in dwells.conditions}, key=lambda load: (load.mass, load.com))
     if len(loads) < 2:
         have = f"{loads[0].mass:g} kg" if loads else "no dwells"
         raise FitError(
-            f"gains need the same poses under at least two loads, the data have {have} only",
-            hint="give the spec two `loads`, or fit both recordings together",
+            f"drive gains need the same poses with at least two payloads, the data have {have} "
+            "only",
+            hint="set two `loads` in the spec, or pass both recordings together",
         )
     q, current = (series_means(dwells, dwells[name]) for name in ("q", "effort"))
     levels = np.stack([_torque(robot, q, load) for load in loads])
@@ -413,7 +438,7 @@ def paired(dwells: Dataset, robot: RobotModel) -> GainPairs:
     )
     at = _poses(q)
     rows, poses, sides = _differences(dwells, at, load, values)
-    # Approached from both sides: +1 and −1. Where it is not known, a pose has the approach 0 only.
+    # Two approaches are the directions +1 and −1. A pose of unknown direction only has approach 0.
     both = 2 in sides
     kept = [k for k, count in enumerate(sides) if count == (2 if both else 1)]
     stacked = np.array([rows[k] for k in kept]).reshape(-1, 5, dwells.n_joints)
@@ -433,7 +458,7 @@ def _torque(robot: RobotModel, q: FloatArray, load: Payload) -> FloatArray:
 
 
 def _poses(q: FloatArray) -> list[int]:
-    """Number of the pose each dwell is at; recordings of different loads number theirs apart."""
+    """Return the pose index of each dwell; equal positions have equal indices in all recordings."""
     known = np.empty_like(q)
     numbers: list[int] = []
     count = 0
@@ -448,10 +473,10 @@ def _poses(q: FloatArray) -> list[int]:
 def _differences(
     dwells: Dataset, poses: list[int], load: IntArray, values: FloatArray
 ) -> tuple[list[FloatArray], list[int], list[int]]:
-    """Per pose and heavier load: difference of `values`, pose, and how many approaches."""
+    """Return difference of `values`, pose and approach count per pose and heavier payload."""
     at: dict[tuple[int, int], dict[int, int]] = {}
     for series, (pose, condition) in enumerate(zip(poses, dwells.conditions, strict=True)):
-        # Of a dwell that was measured again in a later attempt, the last one counts.
+        # If a dwell was repeated in a later attempt, the last attempt is used.
         at.setdefault((pose, condition.approach), {})[int(load[series])] = series
     rises: dict[tuple[int, int], list[FloatArray]] = {}
     for (pose, _), under in at.items():
@@ -463,13 +488,13 @@ def _differences(
 
 
 def _left_out(measured: set[int], used: set[int], both: bool) -> Iterator[str]:
-    """A note when there are poses that tell nothing."""
+    """Yield a note if some poses could not be used."""
     lost = len(measured - used)
     if lost:
-        sides = "from both sides " if both else "the same way "
+        sides = "from both directions " if both else "from the same direction "
         yield (
-            f"{lost} of {len(measured)} poses are left out: they were not approached {sides}with "
-            "the lightest and with a heavier load"
+            f"{lost} of {len(measured)} poses are not used: they were not approached {sides}with "
+            "the lightest and with a heavier payload"
         )
 
 
@@ -478,22 +503,22 @@ NEEDED = ("torque_target", "effort_target", "qd")
 LEAST_ROWS = 200
 
 MOST_SPREAD = 0.03
-"""Series whose gains differ by more than this share get a note."""
+"""Relative difference between the gains of several series above which a note is added."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerGains:
-    """Torque per current of every joint as the controller has it; NaN where it does not show.
+    """Drive gain of every joint that a controller uses; NaN if not determined.
 
     Attributes:
-        joint_names: Length n.
-        gain: (n,) [N·m/A].
-        gain_error: (n,) standard error, by blocks of time of the residual.
-        residual_share: (n,) RMS of what the regression leaves, as a share of the current's.
-        reasons: Why a joint's gain is not determined; empty where it is.
-        samples: Rows used.
-        declared: (n,) gains the recording declares, or None.
-        notes: What else to know, for people.
+        joint_names: Names of the n joints.
+        gain: (n,) drive gains [N·m/A].
+        gain_error: (n,) standard errors, clustered by blocks of time of the residual.
+        residual_share: (n,) residual RMS of the regression, as a share of the current RMS.
+        reasons: Reason why the gain of each joint is not determined; empty for a determined gain.
+        samples: Number of rows that the regression used.
+        declared: (n,) gains that the recording declares; None without declared gains.
+        notes: List of notes for the user.
     """
 
     method: ClassVar[str] = "controller"
@@ -509,11 +534,11 @@ class ControllerGains:
 
     @property
     def determined(self) -> BoolArray:
-        """(n,) which gains the recording tells."""
+        """Mask (n,) of the joints whose gain is determined."""
         return np.array([not reason for reason in self.reasons], dtype=bool)
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil gains --json`; what is not determined is null."""
+        """Return the result for `hil drive-gains --json`; undetermined values are None."""
         named = zip(self.joint_names, self.reasons, strict=True)
         return {
             "method": self.method,
@@ -529,55 +554,63 @@ class ControllerGains:
         }
 
     def yaml_lines(self) -> list[str]:
-        """`drive_gains_nm_a` and its source; undetermined joints keep what is declared, if any."""
+        """Return the YAML lines with drive gains and source, for a station or an import map.
+
+        Joints whose gain is not determined keep the declared gain, if a gain is declared.
+        """
         source = f"the controller's current per torque over {self.samples} samples"
         return gain_lines(self.joint_names, self.gain, self.reasons, self.declared, source)
 
 
 def shows_controller(dataset: Dataset) -> bool:
-    """Whether a recording has what `controller_gains` needs."""
+    """Return whether a recording contains the columns that `controller_gains` needs."""
     return dataset.effort_kind == "current" and set(NEEDED) <= dataset.columns.keys()
 
 
 SIGN_WIDTH = 0.01
-"""Width w of the tanh that stands for sign(qd) [rad/s]."""
+"""Width w of tanh(q̇/w), which approximates sign(q̇) [rad/s]."""
 
 
 def controller_gains(dataset: Dataset) -> ControllerGains:
-    """Drive gains from the controller's own currents and torques, no load being known.
+    """Return drive gains from the commanded currents and torques of a controller.
 
-    A controller that computes the torque of the motion it commands (`torque_target`, from its model
-    of the arm) and commands a current for it (`effort_target`) knows a gain. Per joint its current
-    is regressed on its torque and on what it adds against friction,
+    For this method, the payloads need not be known. A controller computes the torque of the
+    commanded motion (`torque_target`) from its model of the arm and commands a current for this
+    torque (`effort_target`), so it uses a drive gain internally. For each joint, the current is
+    regressed on the torque and on friction terms,
 
         i = a·τ + b·tanh(q̇/w) + c·q̇ + d,
 
-    and the gain is 1/a. Both sides are the controller's own, so it does not matter whether the load
-    it was given is right; the result is the gain *it believes in*, of which its maker knows more
-    than a data sheet. On the UR10e recordings of Mamedov & Mikhel this gives 11.75 11.99 9.82 10.69
-    10.33 10.9 N·m/A, unloaded and with 2.8 kg alike within 0.5 %.
+    The drive gain is 1/a, with a the coefficient of the torque. Current and torque both come from
+    the controller, so a wrong payload declaration has no influence. The identified gain is the gain
+    that the controller *assumes*; the manufacturer usually knows the gain better than a data sheet
+    states it. For the UR10e recordings of Mamedov & Mikhel the result is 11.75 11.99 9.82 10.69
+    10.33 10.9 N·m/A. For the UR10e recordings, the gains without payload and with 2.8 kg agree
+    within 0.5 %.
 
     Args:
-        dataset: With the columns `effort_target` [A], `torque_target` [N·m] and `qd`; the arm
-            has to move. Loads do not matter.
+        dataset: Recording with the columns `effort_target` [A], `torque_target` [N·m] and `qd`, in
+            which every joint moves. The payloads of the recording do not influence the gains.
 
     Raises:
-        FitError: A column is missing, holds no numbers, or there are too few rows.
+        FitError: A column is missing or contains values that are not finite, the efforts are
+            torques, or there are too few rows.
     """
     missing = [name for name in NEEDED if name not in dataset.columns]
     if missing or dataset.effort_kind != "current":
-        what = f"lacks {', '.join(missing)}" if missing else "holds torques, no currents"
+        what = f"lacks {', '.join(missing)}" if missing else "contains torques, not currents"
         raise FitError(
-            f"the controller's gains follow from its currents and torques; the recording {what}",
+            "the drive gains of a controller are computed from its currents and torques, but the "
+            f"recording {what}",
             hint="import it with a map that names torque_target and effort_target, or calibrate "
-            "with known loads",
+            "with known payloads",
         )
     data = dataset.of_kind("trajectory", "move")
     if len(data) < LEAST_ROWS or not all(np.isfinite(data[name]).all() for name in NEEDED):
         raise FitError(
-            f"{len(data)} rows of motion tell no gains: at least {LEAST_ROWS} are needed, all of "
-            "them with numbers",
-            hint="give recordings in which every joint moves",
+            f"drive gains need at least {LEAST_ROWS} rows of motion, all with finite values; the "
+            f"recording has {len(data)} rows",
+            hint="pass recordings in which every joint moves",
         )
     joints = [_controller_joint(data, j) for j in range(data.n_joints)]
     notes = _spread_notes(data)
@@ -603,10 +636,12 @@ class _ControllerJoint(NamedTuple):
 def _controller_joint(data: Dataset, j: int) -> _ControllerJoint:
     X, current = _columns(data, j), data["effort_target"][:, j]
     if np.ptp(X[:, 0]) == 0 or not np.any(current):
-        return _ControllerJoint(reason="the controller asks for no torque or no current")
+        return _ControllerJoint(reason="the controller commands no torque or no current")
     line = weighted_least_squares(X, current)
     if line.rank < X.shape[1]:
-        return _ControllerJoint(reason="it does not move, so friction cannot be told from torque")
+        return _ControllerJoint(
+            reason="the joint does not move, so friction cannot be separated from torque"
+        )
     residual, slope = current - X @ line.coefficients, line.coefficients[0]
     blocks = time_blocks(residual[:, None], data.offsets)
     sums = ClusterSums.of(X, residual, np.ones(len(X)), blocks)
@@ -616,7 +651,8 @@ def _controller_joint(data: Dataset, j: int) -> _ControllerJoint:
     estimate = f"{gain:.3g} ± {error:.2g} N·m/A"
     if slope <= 0 or not error < MOST_ERROR * gain:
         return _ControllerJoint(
-            residual=share, reason=f"its current does not follow its torque: {estimate}"
+            residual=share,
+            reason=f"the commanded current does not follow the commanded torque: {estimate}",
         )
     return _ControllerJoint(float(gain), float(error), share)
 
@@ -627,11 +663,12 @@ def _columns(data: Dataset, j: int) -> FloatArray:
 
 
 def _spread_notes(data: Dataset) -> Iterator[str]:
-    """A note for joints whose gain depends on which series one asks."""
+    """Yield a note for each joint whose drive gain differs between series."""
     if len(data.conditions) < 2:
         return
     parts = [part for i in range(len(data.conditions)) if len(part := data.take([i])) >= LEAST_ROWS]
     for j, name in enumerate(data.joint_names):
         gains = [joint.gain for part in parts if not (joint := _controller_joint(part, j)).reason]
         if len(gains) > 1 and np.ptp(gains) > MOST_SPREAD * np.mean(gains):
-            yield f"{name}: series by series {min(gains):.2f} to {max(gains):.2f} N·m/A"
+            spread = f"{min(gains):.2f} to {max(gains):.2f} N·m/A"
+            yield f"{name}: the gain varies between series from {spread}"

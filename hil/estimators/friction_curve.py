@@ -1,7 +1,7 @@
-"""Friction of joints as a curve over velocity, for models whose friction has no memory.
+"""Friction as a curve over velocity, for models whose friction has no memory.
 
-`FrictionCurve` is what such a model reports of its friction. `power_of_speed` is a law with a
-parameter that is not linear, fv·|q̇|^α·sign(q̇) (Han et al. 2020); `best_exponent` searches for it.
+`FrictionCurve` is the friction curve of a model whose friction has no memory. `power_of_speed` is
+the nonlinear law fv·|q̇|^α·sign(q̇) (Han et al. 2020), and `best_exponent` fits its exponent.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ import numpy as np
 from hil.core import BoolArray, FloatArray
 
 COULOMB, STATIC, VISCOUS, OFFSET = "coulomb", "static", "viscous", "offset"
-"""Terms that pages tell apart; where there is a `static` one, friction begins with it."""
+"""Names of the friction terms on pages; a law with a `static` term starts at this term."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionCurve:
-    """Friction at velocities (N, n), each array (N, n) [N·m].
+    """Friction torques at velocities (N, n), each array (N, n) [N·m].
 
     Attributes:
-        torque: All of it.
-        dry: The same without the viscous part: Coulomb, Stribeck and offset.
-        std_error: Standard error of `torque`, at most: those of the coefficients added up, for
-            models keep no correlation between them; NaN where they are not known.
-        terms: Names of what it is the sum of.
+        torque: Total friction.
+        dry: Friction torque without the viscous part: Coulomb, Stribeck and offset terms.
+        std_error: Upper bound of the standard error of `torque`: the sum of the standard errors of
+            all terms, because models store no correlation between them; NaN if unknown.
+        terms: Names of the terms whose sum is the friction torque.
     """
 
     torque: FloatArray
@@ -38,22 +38,22 @@ class FrictionCurve:
 
 @runtime_checkable
 class HasFrictionCurve(Protocol):
-    """What a model also offers when its friction may be a function of velocity."""
+    """Interface of models whose friction can be a function of velocity alone."""
 
     def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
-        """Friction at velocities (N, n) [rad/s]; None when it depends on more than that."""
+        """Return the friction at velocities (N, n) [rad/s]; None if it has other inputs too."""
 
 
 def curve_of(
     terms: Sequence[str], columns: FloatArray, values: FloatArray, errors: FloatArray
 ) -> FrictionCurve:
-    """A curve that is linear in coefficients.
+    """Return a friction curve that is linear in its coefficients.
 
     Args:
-        terms: Names of the k columns.
-        columns: (N, n, k) at the velocities.
-        values: (n, k) coefficients of every joint.
-        errors: (n, k) their standard errors.
+        terms: Names of the k friction columns.
+        columns: (N, n, k) friction columns at the velocities.
+        values: (n, k) coefficients of the columns for every joint.
+        errors: (n, k) standard errors of the coefficients.
     """
     parts = columns * values
     dry: BoolArray = np.array([term != VISCOUS for term in terms])
@@ -62,16 +62,22 @@ def curve_of(
 
 
 LOWEST, HIGHEST = 0.2, 1.6
-"""Exponents that are looked at: below, the power is Coulomb friction by another name."""
+"""Smallest and largest exponent in the search.
+
+With an exponent below the smallest, the power law is nearly equal to Coulomb friction.
+"""
 
 
 def power_of_speed(qd: FloatArray, exponent: FloatArray | float, width: float) -> FloatArray:
-    """q̇ (q̇² + width²)^((α − 1)/2): sign(q̇)·|q̇|^α beyond `width`, linear and smooth within.
+    """Return q̇ (q̇² + width²)^((α − 1)/2), a smooth form of sign(q̇)·|q̇|^α.
+
+    The smooth function is close to the power law beyond `width` and linear within `width`.
 
     Args:
-        qd: (…, n) [rad/s].
+        qd: (…, n) velocities [rad/s].
         exponent: (n,) α; 1 gives q̇ itself.
-        width: [rad/s], above 0; the power's slope at 0 would be infinite.
+        width: Smoothing width [rad/s], above 0, because the slope of the power law at 0 is
+            infinite.
     """
     return np.asarray(qd * (qd**2 + width**2) ** (0.5 * (np.asarray(exponent) - 1.0)))
 
@@ -83,14 +89,14 @@ def best_exponent(
     weight: FloatArray,
     start: float,
 ) -> float:
-    """The exponent with which one joint's friction columns explain most.
+    """Return the exponent whose friction columns explain most of the torque of one joint.
 
     Args:
-        rest: (N,) torque less what rigid bodies explain.
+        rest: (N,) torque that the rigid body does not explain.
         others: (N, k) friction columns that do not depend on the exponent.
-        power: α → (N,) column.
-        weight: (N,).
-        start: The exponent so far; kept where the search finds nothing better.
+        power: Function from the exponent α to a friction column (N,).
+        weight: (N,) weights of the samples.
+        start: Initial exponent, which is returned if the search finds no better value.
     """
     from scipy.optimize import minimize_scalar
 

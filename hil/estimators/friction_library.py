@@ -1,20 +1,25 @@
-"""The friction library: what the friction of a joint can be made of, and a law chosen from it.
+"""Library of friction columns, and friction law selected from these columns.
 
-A `FrictionMotion` holds what friction may depend on: motion, torque through the gear, memory,
-temperature. Named groups of columns, linear in their coefficients, are computed from it (`groups`).
-Every group is a piece of physics that a robot may show or not. The data of a joint decide which of
-them it gets (`hil.estimators.friction_fit`); the outcome is a `FrictionLaw`. In the list of groups
-z is Dahl's state in place of sign(v), τ the torque through the gear; vs, p and x₀ are the shapes,
-the few parameters that are not linear:
+A `FrictionMotion` contains the inputs of friction: motion, torque through the gear, friction states
+and temperature. `groups` returns named groups of columns that are linear in their coefficients.
+Each group describes a physical effect that a robot may have or lack. The data of a joint determine
+which groups it uses (`hil.estimators.friction_fit`); the selected law is a `FrictionLaw`. In the
+following list of groups, z is Dahl's state, which replaces sign(v), and τ is the torque through the
+gear. The shapes vs, p and x₀ are nonlinear parameters.
 
-- `core`: offset, viscous v and Coulomb friction z;
-- `load`: z·|τ|, the gear's efficiency (6–8 % on UR arms);
-- `stribeck…`: z·exp(−|v|/vs), and with load; PINN paper eq. 15–18 with an exponent of 1;
-- `memory …`: states with longer lengths, and with load;
-- `speed …`: sign(v)·|v|^p; `asymmetry`, `braking`: other friction one way, or as the load drives;
-- `drive`: current that grows faster than torque; `turn …`: what repeats with the joint's turn;
-- `ripple k`: k times per motor turn, evenly, fading with speed, and with the sign of the motion;
-- `temperature`: Coulomb and viscous friction per kelvin.
+- `core`: offset, viscous friction v and Coulomb friction z.
+- `load`: z·|τ|, friction due to the efficiency of the gear (6–8 % on UR arms).
+- `stribeck…`: z·exp(−|v|/vs), also multiplied by the load; PINN paper eq. 15–18 with an exponent of
+  1.
+- `memory …`: friction states with longer lengths, also multiplied by the load.
+- `speed …`: sign(v)·|v|^p.
+- `asymmetry`, `braking`: friction that depends on the direction of motion, or on whether the load
+  drives the joint.
+- `drive`: motor current that increases faster than the torque.
+- `turn …`: effects that are periodic in the joint angle.
+- `ripple k`: ripple with k periods per motor turn, constant, fading with speed, or with the sign of
+  the motion.
+- `temperature`: change of Coulomb and viscous friction per kelvin.
 """
 
 from __future__ import annotations
@@ -38,28 +43,34 @@ from hil.data import (
 from hil.estimators.friction_memory import dahl_states, path_steps
 
 MULTIPLES = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
-"""Lengths of the friction states as multiples of the shortest: from microslip in the contacts to
-the winding-up of a whole gear."""
+"""Lengths of the friction states as multiples of the shortest length.
+
+The lengths of the friction states range from microslip in the contacts to the torsion of a whole
+gear.
+"""
 
 RIPPLE_FADES_RAD_S = 0.3
-"""A controller fights slow ripple with current; fast ripple the rotor's inertia swallows."""
+"""Speed at which ripple has decayed [rad/s].
+
+A controller compensates slow ripple with current, whereas the rotor inertia absorbs fast ripple.
+"""
 
 SENSE_RAD_S = 0.01
-"""Width of the smooth sign of the velocity in ripple [rad/s]."""
+"""Width of the smoothed velocity sign in ripple columns [rad/s]."""
 
 REFERENCE_C = 30.0
-"""Temperature at which columns of temperature vanish."""
+"""Temperature at which temperature columns are zero [°C]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shapes:
-    """The parameters of friction that are not linear, per joint.
+    """Nonlinear friction parameters of each joint.
 
     Attributes:
         length: (n,) shortest length of the friction state, x₀ [rad].
-        stribeck: (n,) speed at which the Stribeck peak has fallen to 1/e [rad/s].
+        stribeck: (n,) speed at which the Stribeck peak has decreased to 1/e [rad/s].
         power: (n,) exponent of the concave speed law sign(v)·|v|^p.
-        turns: (n,) motor turns per joint turn; NaN where unknown.
+        turns: (n,) motor turns per joint turn; NaN if unknown.
     """
 
     length: FloatArray
@@ -68,27 +79,27 @@ class Shapes:
     turns: FloatArray
 
     def to_array(self) -> FloatArray:
-        """(4, n) for the model file."""
+        """Return the shapes as an array (4, n) for the model file."""
         return np.stack([self.length, self.stribeck, self.power, self.turns])
 
     @staticmethod
     def from_array(values: FloatArray) -> Shapes:
-        """Inverse of `to_array`."""
+        """Return the shapes from the output of `to_array`."""
         return Shapes(*values)
 
 
 @dataclass(eq=False)
 class FrictionMotion:
-    """One series, seen by the columns. All arrays are (N, n).
+    """Inputs of the friction columns for one series; all arrays have the shape (N, n).
 
     Attributes:
         q: Position [rad].
         v: Velocity [rad/s].
-        transmitted: Torque through the gear: rigid body and load, without friction [N·m].
-        shapes: See there.
-        steps: Way since the sample before [rad]; not needed with `given`.
-        celsius: Joint temperature, None when it was not recorded.
-        given: States by multiple where they are known already, as in a stream.
+        transmitted: Torque through the gear from rigid body and payload, without friction [N·m].
+        shapes: Nonlinear friction parameters.
+        steps: Displacement since the previous sample [rad]; not needed if `given` is passed.
+        celsius: Joint temperature [°C]; None if it was not recorded.
+        given: Known friction states by multiple of the shortest length, as in a stream.
     """
 
     q: FloatArray
@@ -101,7 +112,7 @@ class FrictionMotion:
     _states: dict[float, FloatArray] = field(default_factory=dict, repr=False)
 
     def state(self, multiple: float = 1.0) -> FloatArray:
-        """Dahl's state with `multiple` times the shortest length."""
+        """Return Dahl's state for `multiple` times the shortest length."""
         if self.given is not None:
             return self.given[multiple]
         if multiple not in self._states:
@@ -111,40 +122,40 @@ class FrictionMotion:
 
     @cached_property
     def speed(self) -> FloatArray:
-        """|v|."""
+        """Speed |v| [rad/s]."""
         return np.abs(self.v)
 
     @cached_property
     def load(self) -> FloatArray:
-        """|transmitted torque|."""
+        """Magnitude of the torque through the gear [N·m]."""
         return np.abs(self.transmitted)
 
     @cached_property
     def z(self) -> FloatArray:
-        """The shortest state."""
+        """Dahl's state for the shortest length."""
         return self.state()
 
     def peak(self, width: float = 1.0) -> FloatArray:
-        """Stribeck's exp(−|v|/vs), vs `width` times as wide."""
+        """Return Stribeck's exp(−|v|/vs), with vs multiplied by `width`."""
         return np.asarray(np.exp(-self.speed / (width * self.shapes.stribeck)))
 
     def law(self, power: FloatArray | float) -> FloatArray:
-        """sign(v)·|v|^power."""
+        """Return the power law sign(v)·|v|^power."""
         return np.asarray(np.sign(self.v) * self.speed**power)
 
     @cached_property
     def slow(self) -> FloatArray:
-        """How much of the ripple the controller answers at this speed, 1 at rest."""
+        """Amplitude of the ripple at the current speed, as a share of the amplitude at rest."""
         return np.asarray(np.exp(-self.speed / RIPPLE_FADES_RAD_S))
 
     @cached_property
     def direction(self) -> FloatArray:
-        """The sign of the motion, smooth through 0."""
+        """Smoothed sign of the velocity of each joint."""
         return np.asarray(np.tanh(self.v / SENSE_RAD_S))
 
     @cached_property
     def warmth(self) -> FloatArray:
-        """Temperature over the reference [K]; 0 where unknown."""
+        """Temperature above the reference temperature [K]; 0 if unknown."""
         if self.celsius is None:
             return np.zeros_like(self.v)
         return np.nan_to_num(self.celsius - REFERENCE_C)
@@ -223,15 +234,15 @@ def _ripples(order: int) -> dict[str, Columns]:
 
 
 ORDERS = (1, 2, 4, 8, 10, 12)
-"""Ripple periods per motor turn: gear teeth (1, 2) and the poles and slots of servo motors."""
+"""Numbers of ripple periods per motor turn, from gear teeth (1, 2), motor poles and slots."""
 
 
 def groups(*, ripple: bool, temperature: bool) -> dict[str, Columns]:
-    """All groups that a robot can have.
+    """Return all groups of columns that a robot can have.
 
     Args:
-        ripple: Motor turns per joint turn are known.
-        temperature: Joint temperatures were recorded.
+        ripple: Whether the number of motor turns per joint turn is known.
+        temperature: Whether joint temperatures were recorded.
     """
     found = dict(_DRY)
     for multiple in MULTIPLES[1:]:
@@ -247,7 +258,7 @@ def groups(*, ripple: bool, temperature: bool) -> dict[str, Columns]:
 
 
 def column_names(group: str, count: int) -> tuple[str, ...]:
-    """Names of a group's columns."""
+    """Return the names of the columns of a group."""
     if group == CORE:
         return ("offset", "viscous", "coulomb")
     return (group,) if count == 1 else tuple(f"{group}.{i + 1}" for i in range(count))
@@ -260,12 +271,19 @@ LADDER = (
     ("speed 1 load", "speed p load", "speed braking", "braking"),
     ("stribeck narrow", "stribeck wide"),
 )
-"""What each step up adds to a joint's friction. Chosen on four UR10e trajectories, each left out in
-turn: broad steps that all joints share predict new trajectories better than column by column."""
+"""Groups of columns that each step adds to the friction of a joint.
+
+The steps of the group lists were chosen on four UR10e trajectories, each held out in turn. Broad
+steps of column groups that are common to all joints predict new trajectories better than a
+selection of single columns.
+"""
 
 
 def rungs(*, ripple: bool, temperature: bool) -> list[tuple[str, ...]]:
-    """Groups from the fewest to the most, each list holding the one before; see `groups`."""
+    """Return lists of groups from the shortest to the longest, each containing the previous list.
+
+    The function has the same arguments as `groups`.
+    """
     steps = list(LADDER)
     if ripple:
         steps.append(tuple(f"ripple {k}{how}" for k in ORDERS for how in ("", " slow", " sign")))
@@ -280,26 +298,31 @@ LOADED = frozenset(
      "speed 1 load", "speed 2 load", "speed braking"}
     | {f"memory {k:g} load" for k in MULTIPLES[1:]}
 )  # fmt: skip
-"""Groups whose columns grow with the torque through the gear."""
+"""Groups whose columns increase with the torque through the gear."""
 
 LEAST_LOAD = 0.2
-"""Torque through a gear, as a share of what is left to friction (root mean squares), below which
-the joint gets none of `LOADED`: fitted to next to no load, they would be anything under a real
-one. A UR10e's wrist 2 and 3 transmit a tenth and less."""
+"""Smallest relative gear torque of a joint for which the groups in `LOADED` are used.
+
+The relative gear torque is the RMS of the gear torque divided by the RMS of the torque that the
+rigid body does not explain. If the relative gear torque is smaller, the coefficients of these
+groups would be arbitrary at larger loads. For wrist joints 2 and 3 of a UR10e, the relative gear
+torque is a tenth or less.
+"""
 
 PARTS = {"ripple": "ripple", "drive": "drive"}
-"""First word of a group → the part of the effort it belongs to; all others are friction."""
+"""Effort component for the first word of a group name; all other groups belong to the friction."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionLaw:
-    """What friction, ripple and drive add to each joint.
+    """Torque of friction, ripple and drive effects for each joint.
 
     Attributes:
-        chosen: Groups per joint, in the order of their coefficients.
-        coefficients: Per joint, of its groups' columns.
-        shapes: The parameters that are not linear.
-        celsius: (n,) usual joint temperature of the training, for where it is not known.
+        chosen: List of the groups of each joint, in the order of their coefficients.
+        coefficients: Coefficients of the columns of each joint.
+        shapes: Nonlinear friction parameters.
+        celsius: (n,) typical joint temperature in training [°C], used if the temperature is
+            unknown.
     """
 
     chosen: tuple[tuple[str, ...], ...]
@@ -315,11 +338,11 @@ class FrictionLaw:
         shapes: Shapes,
         celsius: FloatArray | None = None,
     ) -> FrictionLaw:
-        """From all coefficients behind each other, joint by joint.
+        """Return the law from a flat array of all coefficients, joint by joint.
 
         Raises:
-            KeyError: There is no such group.
-            ValueError: There are more or fewer coefficients or joints than the groups have.
+            KeyError: A named group does not exist.
+            ValueError: The number of coefficients or joints does not match the groups.
         """
         law, n = cls(chosen, (), shapes), len(chosen)
         counts = [sum(law.count(name) for name in names) for names in chosen]
@@ -331,7 +354,7 @@ class FrictionLaw:
         return cls(chosen, tuple(np.split(flat, np.cumsum(counts)[:-1])), shapes, celsius)
 
     def torques(self, motion: FrictionMotion) -> dict[str, FloatArray]:
-        """Parts `friction`, `ripple` and `drive`, each (N, n) [N·m]; only those there are."""
+        """Return the components `friction`, `ripple` and `drive` of the law, each (N, n) [N·m]."""
         found: dict[str, FloatArray] = {"friction": np.zeros_like(motion.v)}
         for name, weights in self._weights.items():
             part = PARTS.get(name.split()[0], "friction")
@@ -341,11 +364,12 @@ class FrictionLaw:
         return found
 
     def break_away(self) -> FloatArray:
-        """Return the friction (n,) that an unloaded joint at rest holds before it slides [N·m].
+        """Return (n,) the friction [N·m] that an unloaded static joint can hold.
 
-        At rest the speed laws vanish, and what is left is carried by the states. A joint slides
-        once all of them are wound up; forth and back are averaged, which leaves out offset and
-        asymmetry. Friction that changes with the angle of a joint counts where it is least.
+        At rest, the speed-dependent terms are zero and only the friction states contribute. A joint
+        starts to slide when all of its friction states are saturated. The mean of the two
+        directions is used, in which offset and asymmetry cancel. If friction depends on the joint
+        angle, the smallest friction over the angle is returned.
         """
         turn = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
         q = np.broadcast_to(turn[:, None], (len(turn), len(self.chosen)))
@@ -361,7 +385,7 @@ class FrictionLaw:
         return np.maximum(level, 0.0)
 
     def parameter_names(self, joint_names: Sequence[str]) -> tuple[str, ...]:
-        """Names of all coefficients, joint by joint."""
+        """Return the names of all coefficients, joint by joint."""
         return tuple(
             f"{joint}.{column}"
             for joint, names in zip(joint_names, self.chosen, strict=True)
@@ -375,7 +399,7 @@ class FrictionLaw:
 
     @cached_property
     def _weights(self) -> dict[str, list[FloatArray]]:
-        """Per group, for each of its columns the coefficient of every joint; 0 without it."""
+        """Coefficients of every joint by group and column; 0 for joints that lack the group."""
         n, found = len(self.chosen), dict[str, list[FloatArray]]()
         for j, names in enumerate(self.chosen):
             at = 0
@@ -388,10 +412,10 @@ class FrictionLaw:
         return found
 
     def count(self, name: str) -> int:
-        """How many columns, and so coefficients, a group has.
+        """Return the number of columns, and thus coefficients, of a group.
 
         Raises:
-            KeyError: There is no such group.
+            KeyError: The group does not exist.
         """
         probe = np.zeros((1, len(self.chosen)))
         states = dict.fromkeys(MULTIPLES, probe)
@@ -402,13 +426,16 @@ class FrictionLaw:
 def predicted_friction(
     law: FrictionLaw, data: Dataset, transmitted: FloatArray, filters: FilterSettings
 ) -> dict[str, FloatArray]:
-    """Parts of the friction law, each (N, n) [N·m], as far as the filtered motion goes.
+    """Return the filtered components of the friction law, each (N, n) [N·m].
+
+    The components are filtered like the velocity.
 
     Args:
-        law: As it was found.
-        data: Prepared with `filters`.
+        law: Fitted friction law.
+        data: Dataset that was prepared with `filters`.
         transmitted: (N, n) torque through the gears [N·m].
-        filters: The velocity's cut-off smooths what is predicted from it.
+        filters: Filter settings; the predicted friction is filtered with the cut-off of the
+            velocity.
     """
     out: dict[str, FloatArray] = {}
     for condition, rows, motion in motions(
@@ -428,14 +455,14 @@ def motions(
     shapes: Shapes,
     usual: FloatArray | None = None,
 ) -> Iterator[tuple[Conditions, slice, FrictionMotion]]:
-    """Conditions, rows and motion of every series that has rows.
+    """Yield the conditions, the rows and the motion of every series that is not empty.
 
     Args:
-        dataset: Prepared.
-        steps: (N, n) from `path_steps` [rad].
+        dataset: Prepared dataset.
+        steps: (N, n) output of `path_steps` [rad].
         transmitted: (N, n) torque through the gears [N·m].
-        shapes: Of the friction.
-        usual: (n,) joint temperatures where none were recorded.
+        shapes: Nonlinear friction parameters.
+        usual: (n,) joint temperatures [°C] for rows without a recorded temperature.
     """
     celsius = temperatures(dataset, usual)
     for condition, rows in dataset.slices():
@@ -455,7 +482,7 @@ def motions(
 
 
 def temperatures(dataset: Dataset, usual: FloatArray | None) -> FloatArray | None:
-    """(N, n) recorded joint temperatures, the usual ones where there are none."""
+    """Return (N, n) the joint temperatures [°C]; `usual` replaces missing values."""
     recorded = dataset.columns.get("temperature")
     if usual is None:
         return recorded
@@ -465,7 +492,7 @@ def temperatures(dataset: Dataset, usual: FloatArray | None) -> FloatArray | Non
 
 
 def usual_temperatures(dataset: Dataset) -> FloatArray | None:
-    """(n,) median joint temperatures; None where they were not recorded throughout."""
+    """Return (n,) the median joint temperatures [°C]; None if a value is missing."""
     recorded = dataset.columns.get("temperature")
     if recorded is None or not len(recorded) or not np.all(np.isfinite(recorded)):
         return None
@@ -473,7 +500,7 @@ def usual_temperatures(dataset: Dataset) -> FloatArray | None:
 
 
 def temperatures_vary(dataset: Dataset) -> bool:
-    """Whether joint temperatures were recorded and changed by 1 K or more in some joint."""
+    """Return whether joint temperatures were recorded and vary by 1 K or more in some joint."""
     celsius = dataset.columns.get("temperature")
     if celsius is None or not np.all(np.isfinite(celsius)) or not len(celsius):
         return False
@@ -488,14 +515,14 @@ def smoothed(
     *,
     cutoff: float | None = None,
 ) -> FloatArray:
-    """Columns (N, …) of one series through a low-pass filter; at rest as they are.
+    """Return the low-pass-filtered columns (N, …) of one series; unchanged for a static arm.
 
     Args:
-        values: A row per sample.
-        condition: Of the series.
-        t: (N,) [s].
-        settings: Order and unit of the filter.
-        cutoff: By default that of the effort the columns are to explain.
+        values: Columns to be filtered, with one row per sample.
+        condition: Recorded conditions of the series.
+        t: (N,) time [s].
+        settings: Filter settings with the order and unit of the filter.
+        cutoff: Cut-off of the filter; None for the cut-off of the effort.
     """
     if condition.kind in AT_REST:
         return values

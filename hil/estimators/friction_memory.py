@@ -1,20 +1,22 @@
-"""Dahl's friction state: what a joint's way so far has left in its gears.
+"""Computation of Dahl's friction state from the path of a joint.
 
-A joint that turns round does not meet full friction at once: its contacts bend first. Dahl (1968)
-lets a state z in [−1, 1] relax towards the sign of the motion with the distance travelled, dz =
-(sign(dq) − z)·|dq|/x₀, so that over a step dq it is z ← s + (z − s)·exp(−|dq|/x₀), s = sign(dq). It
-depends on the path alone, never on time: a joint at rest keeps what it had when it stopped. Several
-lengths x₀ side by side, each with a coefficient of its own, make any curve of reversal (in the
-limit a Prandtl–Ishlinskii or Maxwell-slip model).
+A joint that reverses does not reach full friction immediately, because its contacts bend first.
+Dahl (1968) describes the bending of the contacts by a state z in [−1, 1] that relaxes towards the
+sign of the motion with the travelled distance: dz = (sign(dq) − z)·|dq|/x₀. A step dq therefore
+changes z to s + (z − s)·exp(−|dq|/x₀), with s = sign(dq). The state depends on the path alone and
+not on time; a joint at rest keeps its state. Several lengths x₀, each with a separate coefficient,
+can describe any reversal curve (in the limit a Prandtl–Ishlinskii or Maxwell-slip model).
 
-The same state is evaluated in four ways, each where it is the cheapest:
+The friction state is computed by the cheapest of four methods:
 
-- `dahl_states` for a recording. Every step is an affine map of z, and affine maps can be composed
-  in pairs: the whole path takes log₂ N passes over arrays instead of a loop over samples.
-- `Pieces` for a search over the length x₀. Between two reversals the state has a closed form,
-  whatever the steps, so that a trial costs one exponential per sample and a loop over reversals.
-- `states_at_rest` for arms that stand, from the last few points of their way into the pose.
-- `advanced` for one sample after the other (`hil.estimators.streaming`).
+- `dahl_states` computes the friction states of a recording. Every step of a path is an affine map
+  of z; because affine maps can be composed in pairs, the whole path takes log₂ N passes over arrays
+  instead of a loop over samples.
+- `Pieces` is for a search over the length x₀. Between two reversals, the state has a closed form;
+  an evaluation therefore takes one exponential per sample and a loop over reversals.
+- `states_at_rest` computes the states of a static arm from the last points of the path into the
+  pose.
+- `advanced` computes the state sample by sample (`hil.estimators.streaming`).
 """
 
 from __future__ import annotations
@@ -29,18 +31,21 @@ from hil.data import AT_REST, Dataset
 
 
 def dahl_states(steps: FloatArray, length: FloatArray) -> FloatArray:
-    """State after every step of a path that begins with state 0.
+    """Return (N, n) the state after every step of a path that begins with the state 0.
 
     Args:
-        steps: (N, n) way of each joint since the sample before [rad].
-        length: (n,) distance in which the state comes round, x₀ [rad].
+        steps: (N, n) displacement of each joint since the previous sample [rad].
+        length: (n,) relaxation length x₀ of the state [rad].
     """
     kept = np.exp(-np.abs(steps) / length)
     return _composed(kept, np.sign(steps) * (1.0 - kept))
 
 
 def _composed(factor: FloatArray, term: FloatArray) -> FloatArray:
-    """zₖ = factorₖ zₖ₋₁ + termₖ from z = 0 along axis 0 (Hillis & Steele 1986, inclusive scan)."""
+    """Return the solution of zₖ = factorₖ zₖ₋₁ + termₖ along axis 0, starting from z = 0.
+
+    The solution is computed by the inclusive scan of Hillis & Steele (1986).
+    """
     a, b = factor.copy(), term.copy()
     shift = 1
     while shift < len(b):
@@ -51,11 +56,13 @@ def _composed(factor: FloatArray, term: FloatArray) -> FloatArray:
 
 
 def path_steps(dataset: Dataset) -> FloatArray:
-    """(N, n) way of each joint since the sample before, 0 where a series begins [rad].
+    """Return (N, n) the displacement of each joint since the previous sample [rad].
 
-    The prepared dataset's filtered velocity is summed up: position noise, a random walk for the
-    state, would wear the memory away at rest. Controllers report a velocity of exactly 0 for a
-    joint that holds; there the path stands still as well.
+    The displacement is 0 at the first sample of a series. The displacements are the integrals of
+    the filtered velocity of the prepared dataset. Measured positions are not used, because their
+    noise is a random walk for the state and would erase the memory at rest. If the measured
+    velocity of a joint is exactly 0, as controllers report for a held joint, the displacement is 0
+    too.
     """
     steps = np.zeros_like(dataset["q"])
     for condition, rows in dataset.slices():
@@ -70,16 +77,19 @@ def path_steps(dataset: Dataset) -> FloatArray:
 
 
 def advanced(state: FloatArray, step: FloatArray, length: FloatArray | float) -> FloatArray:
-    """The state after one more step; all (n,) or broadcast alike."""
+    """Return the friction state after one more step.
+
+    All arguments are (n,) or broadcast together.
+    """
     sign, kept = np.sign(step), np.exp(-np.abs(step) / length)
     return np.asarray(sign + (state - sign) * kept)
 
 
 def carried_step(q: FloatArray, last: FloatArray | None, qd: FloatArray) -> FloatArray:
-    """Way since the last sample in a stream [rad]; shaped as its inputs.
+    """Return the displacement since the last sample of a stream [rad], in the shape of the inputs.
 
-    Noise of positions would wear the memory away: only what goes with the velocity counts, and
-    nothing while it is exactly 0.
+    Noise of the measured position would erase the memory of the friction state. A displacement is
+    therefore only used if it has the sign of the velocity, and is 0 if the velocity is exactly 0.
     """
     if last is None:
         return np.zeros_like(q)
@@ -88,12 +98,12 @@ def carried_step(q: FloatArray, last: FloatArray | None, qd: FloatArray) -> Floa
 
 
 def states_at_rest(paths: FloatArray, lengths_rad: Sequence[float]) -> list[FloatArray]:
-    """Dahl's state (D, n) at rest for each length, between −1 and 1.
+    """Return (D, n) Dahl's state of a static joint for each length, between −1 and 1.
 
     Args:
-        paths: (D, K, n) positions relative to the place of rest [rad]; every joint slides when its
-            path begins, and comes to 0 at the end.
-        lengths_rad: Lengths [rad].
+        paths: (D, K, n) positions relative to the rest position [rad]. Every joint slides at the
+            start of its path and ends at the rest position 0.
+        lengths_rad: Relaxation lengths of the states [rad].
     """
     steps = np.diff(np.concatenate([paths, np.zeros_like(paths[:, :1])], axis=1), axis=1)
     found = []
@@ -107,16 +117,16 @@ def states_at_rest(paths: FloatArray, lengths_rad: Sequence[float]) -> list[Floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pieces:
-    """A joint's way of N steps in G pieces without reversal.
+    """Path of one joint with N steps, divided into G pieces without reversal.
 
-    Within a piece travelled in direction s the state is z = s + (z₀ − s)·exp(−way/x₀).
+    In a piece of the path with direction s, the state is z = s + (z₀ − s)·exp(−way/x₀).
 
     Attributes:
-        direction: (G,) +1, −1, or 0 for a series without any motion.
-        length: (G,) of each piece [rad].
-        fresh: (G,) true where a series begins, whose state is 0.
-        number: (N,) the piece of every step.
-        way: (N,) travelled since the piece began, the step included [rad].
+        direction: (G,) direction of each piece: +1, −1, or 0 for a series without motion.
+        length: (G,) length of each piece [rad].
+        fresh: (G,) mask of the pieces that are the first of a series; their initial state is 0.
+        number: (N,) index of the piece to which every step belongs.
+        way: (N,) distance travelled since the start of the piece, including the step [rad].
     """
 
     direction: FloatArray
@@ -127,7 +137,7 @@ class Pieces:
 
     @classmethod
     def of(cls, steps: FloatArray, series: tuple[slice, ...]) -> Pieces:
-        """Those of the steps (N,) [rad] of all series."""
+        """Return the pieces of the steps (N,) [rad] of all series."""
         starts = np.zeros(len(steps), dtype=bool)
         starts[[rows.start for rows in series]] = True
         direction = _held(np.sign(steps), starts)
@@ -141,11 +151,11 @@ class Pieces:
         return cls(direction[first], way[last], starts[first], number, way)
 
     def every(self, k: int) -> Pieces:
-        """The same way, known after every k-th step only."""
+        """Return the same path for an evaluation after every k-th step only."""
         return replace(self, number=self.number[::k].copy(), way=self.way[::k].copy())
 
     def state(self, length: float) -> tuple[FloatArray, FloatArray]:
-        """Dahl's state (N,) after every step and its derivative by log(length)."""
+        """Return Dahl's state (N,) after every step, and its derivative ∂/∂log(length)."""
         begin, slope = self._beginnings(length)
         gap = begin - self.direction
         share = self.way / length
@@ -154,7 +164,7 @@ class Pieces:
         return state, (slope[self.number] + gap[self.number] * share) * kept
 
     def _beginnings(self, length: float) -> tuple[FloatArray, FloatArray]:
-        """(G,) state at the beginning of every piece, and its derivative."""
+        """Return (G,) the friction state at the start of every piece, and its derivative."""
         share = self.length / length
         kept = np.exp(-share)
         begin, slope = np.zeros(len(kept)), np.zeros(len(kept))
@@ -170,6 +180,6 @@ class Pieces:
 
 
 def _held(sign: FloatArray, starts: BoolArray) -> FloatArray:
-    """Signs (N,) with 0 replaced by what was before it in the series, if anything was."""
+    """Return the signs (N,) with each 0 replaced by the previous sign of the series, if any."""
     known = np.where((sign != 0) | starts, np.arange(len(sign)), 0)
     return np.asarray(sign[np.maximum.accumulate(known)])

@@ -1,7 +1,8 @@
-"""What data can tell of parameters, and what they cannot.
+"""Identifiability of parameters from data.
 
-`condition_report` gives the condition numbers of a regressor and the combinations of parameters
-that it determines worst; `essential_parameters` the parameters that the data cannot do without.
+`condition_report` returns the condition numbers of a regressor and its least determined
+combinations of parameters. `essential_parameters` returns the parameters without which the data
+cannot be explained.
 """
 
 from __future__ import annotations
@@ -18,20 +19,21 @@ from hil.estimators.distributions import fisher_tail
 from hil.estimators.least_squares import upper_triangle
 
 SHOWN = 3
-"""Directions that are reported, and parameters named of each."""
+"""Number of reported directions, and number of parameters named per direction."""
 
 FAINTEST = 0.1
-"""A parameter with a smaller part in a direction is not named."""
+"""Minimum component of a direction above which its parameter is named."""
 
 
 @dataclass(frozen=True, slots=True)
 class Direction:
-    """A combination of parameters, in units of their columns' lengths.
+    """Combination of parameters, with each parameter in units of its column's norm.
 
     Attributes:
-        gain: Length of the regressor along it over that along the best determined one; its
-            reciprocal is by how much larger its error is.
-        parts: (parameter, share), shares of a vector of length 1, largest first.
+        gain: Norm of the regressor in the direction of the combination, relative to the best
+            determined direction. The reciprocal of `gain` is the ratio of the parameter errors.
+        parts: Pairs (parameter, component) of the unit vector of the combination, largest component
+            first.
     """
 
     gain: float
@@ -44,12 +46,12 @@ class Direction:
 
 @dataclass(frozen=True, slots=True)
 class ConditionReport:
-    """Condition numbers and the directions behind them.
+    """Condition numbers and least determined directions of a regressor.
 
     Attributes:
-        raw: Condition number as the regressor stands, mixed units and all.
-        scaled: With all columns scaled to length 1; errors of parameters do not depend on units.
-        worst: The least determined directions, worst first.
+        raw: Condition number of the unscaled regressor, with mixed units.
+        scaled: Condition number with all columns scaled to length 1, independent of units.
+        worst: Least determined parameter directions, the worst direction first.
     """
 
     raw: float
@@ -57,7 +59,7 @@ class ConditionReport:
     worst: tuple[Direction, ...]
 
     def facts(self) -> dict[str, Any]:
-        """For `model.json`."""
+        """Return the condition numbers and directions as entries for `model.json`."""
         return {
             "raw": self.raw,
             "scaled": self.scaled,
@@ -66,11 +68,12 @@ class ConditionReport:
 
 
 def condition_report(X: FloatArray, names: Sequence[str]) -> ConditionReport:
-    """Report on a regressor (m, p), or any matrix with its Gram matrix, weighted or not.
+    """Return the condition report of a regressor, or of a matrix with the same Gram matrix.
 
     Args:
-        X: (m, p); columns of zeros are reported as not determined at all.
-        names: Length p.
+        X: (m, p) regressor, weighted or unweighted; columns of zeros are reported as not
+            determined.
+        names: Names of the p parameters.
     """
     numbers = conditioning(X)
     R = upper_triangle(X)
@@ -88,26 +91,27 @@ def condition_report(X: FloatArray, names: Sequence[str]) -> ConditionReport:
 
 def _direction(gain: float, vector: FloatArray, names: Sequence[str]) -> Direction:
     order = np.argsort(-np.abs(vector))[:SHOWN]
-    # A direction has no sign: its largest part is shown as positive.
+    # The sign of a direction is arbitrary; its largest component is reported as positive.
     sign = 1.0 if vector[order[0]] >= 0 else -1.0
     chosen = [i for i in order if abs(vector[i]) >= FAINTEST]
     return Direction(gain, tuple((names[i], float(sign * vector[i])) for i in chosen))
 
 
 LEVEL = 0.05
-"""Probability that the test ends the dropping although nothing was lost."""
+"""Level of the F test: probability that dropping stops at a parameter that is not essential."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Essential:
-    """What is left, and what went in which order.
+    """Essential parameters, and order in which the other parameters were dropped.
 
     Attributes:
-        kept: (k,) numbers of the essential parameters, ascending.
-        coefficients: (p,) of the fit without the others, which are 0.
-        relative_std: (p,) standard deviation over size of those kept, in that fit; else inf.
-        dropped: Names, first dropped first.
-        p_value: Of the last test that passed; 1 if nothing was dropped.
+        kept: (k,) indices of the essential parameters, ascending.
+        coefficients: (p,) coefficients of the reduced fit; 0 for dropped parameters.
+        relative_std: (p,) ratio of standard deviation to magnitude in the reduced fit; infinite for
+            dropped parameters.
+        dropped: Names of the dropped parameters, in the order of dropping.
+        p_value: p-value of the last accepted test; 1 if no parameter was dropped.
     """
 
     kept: IntArray
@@ -117,25 +121,25 @@ class Essential:
     p_value: float
 
     def facts(self) -> dict[str, Any]:
-        """For `model.json`."""
+        """Return the essential parameters and the test result as entries for `model.json`."""
         return {"count": len(self.kept), "dropped": list(self.dropped), "p_value": self.p_value}
 
 
 def essential_parameters(
     X: FloatArray, y: FloatArray, names: Sequence[str], samples: float
 ) -> Essential:
-    """Drop parameters that are noise: small, with large errors.
+    """Return the essential parameters; small parameters with large errors are dropped.
 
-    Following Pham & Gautier (1991) the parameter with the largest relative standard deviation is
-    dropped and the rest fitted again, until an F test against the whole model says that something
-    was lost.
+    The selection of parameters follows Pham & Gautier (1991). The parameter with the largest
+    relative standard deviation is dropped and the remaining parameters are fitted again, until an F
+    test against the full model is significant.
 
     Args:
-        X: (m, p) weighted rows of equal variance, or any matrix with their Gram matrix.
-        y: (m,) target, weighted alike.
-        names: Length p.
-        samples: How many independent observations there were: rows over their correlation time.
-            The test is as strict as this number is honest.
+        X: (m, p) weighted rows of equal variance, or a matrix with the same Gram matrix.
+        y: (m,) target, multiplied by the same weights as X.
+        names: Names of the p parameters.
+        samples: Number of independent observations: rows divided by their correlation time in
+            samples. The level of the test is correct only if `samples` is correct.
     """
     p = X.shape[1]
     R = upper_triangle(np.column_stack([X, y]))
@@ -164,7 +168,7 @@ def essential_parameters(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """Coefficients, their errors over their sizes for a variance of 1, and the squares left."""
+    """Coefficients, relative errors for unit variance, and sum of squared residuals of a fit."""
 
     coefficients: FloatArray
     relative: FloatArray

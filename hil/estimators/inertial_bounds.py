@@ -1,4 +1,4 @@
-"""Bounds of a robot's links: how heavy each may be, where its mass lies, and a reference body."""
+"""Bounds of the inertial parameters of links: largest mass, bounding box and reference body."""
 
 from __future__ import annotations
 
@@ -10,39 +10,42 @@ from hil.core import BoolArray, FloatArray
 from hil.dynamics import PARAMETERS, RobotModel, from_pseudo_inertia, pseudo_inertia
 
 MASS_FACTOR = 1.3
-"""A link is at most so many times as heavy as its nominal model: cables, covers, drive gains."""
+"""Maximum ratio of link mass to nominal mass; allows for cables, covers and gain errors."""
 
 LIGHT = 0.1
-"""Share of the arm's mass below which a link counts as that heavy when its mass is bounded: tools
-hang on small flanges and are not always declared."""
+"""Share of the arm's mass that replaces a nominal link mass below it in the mass bound.
+
+The replacement is necessary because tools are mounted on small flanges and are not always declared.
+"""
 
 AT_BOUND = 0.999
-"""Share of its greatest mass from which a link counts as being at the bound."""
+"""Share of its maximum mass above which a link counts as at its bound."""
 
 MARGIN_SHARE = 0.1
-"""Share of the arm's reach by which a link may stick out beyond its joints and nominal body."""
+"""Margin of a link's bounding box beyond joints and nominal body, as a share of the arm's reach."""
 
 MOST_KG = 100.0
-"""Bound on a link's mass where neither a nominal mass nor a torque limit is known."""
+"""Maximum mass of a link [kg] if neither a nominal mass nor a torque limit is known."""
 
 THINNEST = 0.02
-"""A reference body is at least so thick, as a share of its box (standard deviation of mass)."""
+"""Minimum standard deviation of the mass of a reference body, as a share of its box."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialBounds:
     """Bounds on the inertial parameters of every link, in Pinocchio's joint frames.
 
-    Torques say nothing about some directions of the inertial parameters: a fit that is only
-    physically consistent may put thousands of kilograms where no joint feels them. The robot's
-    nominal model and its geometry know better.
+    Torques do not depend on some directions of the inertial parameters. A fit that is only
+    physically consistent could assign masses of thousands of kilograms in these directions. To
+    avoid such masses, the bounds use the nominal model and the geometry of the robot.
 
     Attributes:
-        reference: (n, 10) a body that can exist per link, strictly inside the bounds; the prior
-            pulls towards it.
-        mass_max: (n,) [kg].
-        box: (n, 2, 3) lowest and highest coordinates of a link's mass [m].
-        notes: What had to be assumed, for people.
+        reference: (n, 10) physically consistent reference body of each link, strictly inside the
+            bounds; the centre of the prior.
+        mass_max: (n,) maximum mass of each link [kg].
+        box: (n, 2, 3) lower and upper coordinates of the box that contains the mass of each link
+            [m].
+        notes: List of notes for the user on assumptions.
     """
 
     reference: FloatArray
@@ -57,15 +60,15 @@ class InertialBounds:
         *,
         mass_factor: float = MASS_FACTOR,
     ) -> InertialBounds:
-        """Bounds from a robot's own inertial parameters and geometry.
+        """Return the bounds from the inertial parameters and the geometry of a robot model.
 
-        A link's box spans its joint, the next one and its nominal body, and a margin. Links whose
-        nominal mass is 0 get wide bounds, and a note says so.
+        The bounding box of a link contains its joint, the next joint and its nominal body, with a
+        margin. Links with a nominal mass of 0 get wide bounds, and a note names these links.
 
         Args:
-            robot: The nominal model.
-            mass_factor: Most mass of a link as a multiple of its nominal one, or of a tenth of
-                the arm's where it is lighter; above 1.
+            robot: Nominal robot model.
+            mass_factor: Maximum ratio of link mass to nominal mass, above 1. For links lighter than
+                a tenth of the arm, a tenth of the mass of the arm replaces the nominal mass.
         """
         bodies = robot.parameters(rotor=False).reshape(robot.n, len(PARAMETERS))
         known = bodies[:, 0] > 0
@@ -84,20 +87,20 @@ class InertialBounds:
         return cls(reference, mass_max, box, _notes(robot, known, unknown_max))
 
     def reached(self, inertial: FloatArray, joint_names: tuple[str, ...]) -> tuple[str, ...]:
-        """Notes on links of full parameters (11n,) that are as heavy as they may be."""
+        """Return notes on the links whose mass in `inertial` (11n,) is at its bound."""
         masses = inertial[: self.reference.size].reshape(self.reference.shape)[:, 0]
         heavy = masses >= AT_BOUND * self.mass_max
         if not np.any(heavy):
             return ()
         names = ", ".join(name for name, at in zip(joint_names, heavy, strict=True) if at)
         return (
-            f"the links behind {names} are as heavy as they may be: was a load mounted that is not "
-            "declared, or is the robot's nominal model of another arm?",
+            f"the link masses after {names} are at their upper bound: check for an undeclared "
+            "payload, and that the robot model describes this arm",
         )
 
 
 def _next_joints(robot: RobotModel) -> FloatArray:
-    """(n, 3) where the following joint (or the flange) sits in each joint's frame [m]."""
+    """Return (n, 3) the position of the next joint or the flange in each joint's frame [m]."""
     still = np.zeros((1, robot.n))
     placement = robot.joint_geometry().placement
     flange = robot.flange_pose(still)[0]
@@ -109,33 +112,33 @@ def _next_joints(robot: RobotModel) -> FloatArray:
 
 
 def _box(body: FloatArray, end: FloatArray, margin: float) -> FloatArray:
-    """(2, 3) lowest and highest corner of the region a link may fill."""
+    """Return (2, 3) the lowest and highest corner of the bounding box of a link."""
     points = [np.zeros(3), end]
     if body[0] > 0:
         centre = body[1:4] / body[0]
         spread = np.sqrt(np.maximum(np.diag(_central(body)) / body[0], 0.0))
-        # Twice the standard deviation of a body's mass is beyond most of what it is made of.
+        # Most of a body's mass is within two standard deviations of its centre.
         points += [centre - 2 * spread, centre + 2 * spread]
     return np.stack([np.min(points, axis=0) - margin, np.max(points, axis=0) + margin])
 
 
 def _central(body: FloatArray) -> FloatArray:
-    """(3, 3) second moments of a body's mass about its centre [kg·m²]."""
+    """Return (3, 3) the second moments of a body's mass about its centre [kg·m²]."""
     J, centre = pseudo_inertia(body), body[1:4] / body[0]
     return np.asarray(J[:3, :3] - body[0] * np.outer(centre, centre))
 
 
 def _mass_from_torque(robot: RobotModel, reach: float) -> float:
-    """Twice what the strongest joint could hold at arm's length [kg]."""
+    """Return twice the mass that the strongest joint can hold at the reach of the arm [kg]."""
     limited = np.isfinite(robot.effort_max) & (robot.effort_max > 0)
     if not limited.any():
         return MOST_KG
-    arm_m = np.where(robot.joint_geometry().turns, reach, 1.0)  # a sliding joint's limit is a force
+    arm_m = np.where(robot.joint_geometry().turns, reach, 1.0)  # prismatic joints have force limits
     return float(min(2.0 * (robot.effort_max / (9.81 * arm_m))[limited].max(), MOST_KG))
 
 
 def _body(body: FloatArray, mass_max: float, box: FloatArray) -> FloatArray:
-    """(10,) the nominal body made thick enough to exist, or one that fills the box."""
+    """Return (10,) the nominal body with a minimum thickness, or a body that fills its box."""
     size = box[1] - box[0]
     if body[0] > 0:
         mass, centre, moments = body[0], body[1:4] / body[0], _central(body)
@@ -158,6 +161,7 @@ def _notes(robot: RobotModel, known: BoolArray, mass_max: float) -> tuple[str, .
         return ()
     whose = "any link" if len(missing) == robot.n else f"the links of {', '.join(missing)}"
     return (
-        f"the robot model {robot.name} gives no mass of {whose}: up to {mass_max:.3g} kg each are "
-        "allowed there, so that directions no joint feels are little more than a guess",
+        f"the robot model {robot.name} contains no mass for {whose}: up to {mass_max:.3g} kg each "
+        "are allowed, so parameters without effect on any joint torque are little more than a "
+        "guess",
     )

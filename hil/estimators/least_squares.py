@@ -1,17 +1,17 @@
-"""Least squares that robots need and libraries lack, on numpy alone.
+"""Least-squares methods for robot identification that libraries lack, based on numpy alone.
 
-Observations of a robot are rows of a regressor, one per joint and instant, of which there may be
-millions. `JointwiseQR` keeps one small triangle R_j per joint j, with R_jᵀR_j = [W τ]ⱼᵀ[W τ]ⱼ:
-every solution, residual norm and weighting by joint follows from the triangles, so memory stays
-bounded and weighting again costs nothing. `jointwise_least_squares` is the solution itself
-(ordinary, then weighted by each joint's own residual), on `weighted_least_squares`, which knows
-about directions that the data do not excite.
+Observations of a robot are rows of a regressor, one row per joint and instant; a recording can have
+millions of rows. `JointwiseQR` stores one small triangular factor R_j per joint j, with R_jᵀR_j =
+[W τ]ⱼᵀ[W τ]ⱼ. Every solution, residual norm and joint weighting follows from these factors, so that
+memory is bounded and reweighting is fast. `jointwise_least_squares` computes the solution in two
+steps: ordinary least squares, then least squares weighted by each joint's residual.
+`weighted_least_squares` handles parameter directions that the data do not excite.
 
-Behind it stand the relatives that other estimators choose instead, each a function of X and y:
-ridge regression with a penalty chosen on trajectories or groups of poses left out, total least
-squares for regressors with noise, and instrumental variables. Standard errors of correlated
-observations are in `hil.estimators.covariance`, losses other than squares in
-`hil.estimators.robust`, scikit-learn's contract in `hil.estimators.regression`.
+The module also contains alternative methods as functions of X and y: ridge regression with a
+penalty chosen on held-out trajectories or groups of poses, total least squares for regressors with
+noise, and instrumental variables. Standard errors of correlated observations are computed in
+`hil.estimators.covariance`, robust losses in `hil.estimators.robust`, and the scikit-learn
+interface is in `hil.estimators.regression`.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ import numpy as np
 from hil.core import BoolArray, FitError, FloatArray, IntArray
 
 System = tuple[FloatArray, FloatArray, IntArray]
-"""X (m, p), y (m,) and the joint (m,) of every row, as `JointwiseQR.system` gives them."""
+"""Regressor X (m, p), target y (m,) and joint (m,) of every row, from `JointwiseQR.system`."""
 
 
 class Weighted(NamedTuple):
-    """A weighted least-squares solution.
+    """Solution of a weighted least-squares problem.
 
     Attributes:
-        coefficients: (p,).
-        bread: (p, p) (XᵀWX)⁻¹, the covariance if the weights are reciprocals of the variances.
-        rank: Excited directions.
+        coefficients: (p,) coefficients.
+        bread: (p, p) matrix (XᵀWX)⁻¹, the covariance if the weights are reciprocal variances.
+        rank: Number of excited parameter directions.
         condition: Condition number of the column-scaled, weighted regressor.
-        squares: Σ wᵢ rᵢ² of the residual.
+        squares: Weighted sum of squares Σ wᵢ rᵢ² of the residual.
     """
 
     coefficients: FloatArray
@@ -52,20 +52,21 @@ def weighted_least_squares(
     """Minimise Σ wᵢ (yᵢ − xᵢᵀβ)² by QR and a singular value decomposition.
 
     Args:
-        X: (N, p).
-        y: (N,).
-        weight: (N,), all 1 when None.
-        rank_tolerance: Directions whose singular value, after scaling every column to unit length,
-            is below this share of the largest count as not excited; they get the smallest solution.
+        X: (N, p) regressor.
+        y: (N,) target.
+        weight: (N,) weights of the rows; None for equal weights of 1.
+        rank_tolerance: Relative singular value below which a parameter direction counts as not
+            excited, after all columns are scaled to unit length. In directions that are not
+            excited, the solution has the smallest norm.
 
     Raises:
-        ValueError: There are no rows, or values that are not finite.
+        ValueError: There are no rows, or values are not finite.
     """
     design = np.column_stack([X, y])
     p = design.shape[1] - 1
     triangle = upper_triangle(design if weight is None else design * np.sqrt(weight)[:, None])
     if not len(design) or not np.isfinite(triangle).all():
-        raise ValueError(f"least squares needs rows of finite numbers; rows: {len(design)}")
+        raise ValueError(f"least squares needs rows with finite values; rows: {len(design)}")
     factor, target = triangle[:, :p], triangle[:, p]
     length = np.linalg.norm(factor, axis=0)
     length[length == 0] = 1.0
@@ -86,17 +87,17 @@ def weighted_least_squares(
 
 
 def upper_triangle(matrix: FloatArray) -> FloatArray:
-    """R of the QR decomposition: RᵀR = matrixᵀ matrix."""
-    # numpy's stubs know the pair (Q, R) only.
+    """Return the factor R of the QR decomposition: RᵀR = matrixᵀ matrix."""
+    # The type stubs of numpy only declare the pair (Q, R).
     R: Any = np.linalg.qr(matrix, mode="r")
     return np.asarray(R, dtype=np.float64)
 
 
 class JointwiseQR:
-    """Accumulates regressor rows and targets joint by joint.
+    """Accumulator of regressor rows and targets, with one triangular factor per joint.
 
     Attributes:
-        rows: (n,) rows seen per joint.
+        rows: (n,) number of rows added per joint.
     """
 
     def __init__(self, n_joints: int) -> None:
@@ -104,7 +105,7 @@ class JointwiseQR:
         self._triangles: list[FloatArray | None] = [None] * n_joints
 
     def add(self, W: FloatArray, target: FloatArray) -> None:
-        """Add W (N·n, p), sample-major, and the target (N, n)."""
+        """Add the regressor rows W (N·n, p), sample-major, and the target (N, n)."""
         samples, joints = target.shape
         cube = W.reshape(samples, joints, -1)
         for j in range(joints):
@@ -115,14 +116,14 @@ class JointwiseQR:
             self.rows[j] += samples
 
     def add_joint(self, joint: int, rows: FloatArray, samples: int) -> None:
-        """Add rows [W τ] (m, p + 1) of one joint that stand for so many samples."""
+        """Add rows [W τ] (m, p + 1) of one joint that stand for `samples` samples."""
         previous = self._triangles[joint]
         self._triangles[joint] = rows if previous is None else np.vstack([previous, rows])
         self.rows[joint] += samples
 
     @staticmethod
     def merged(parts: Sequence[JointwiseQR]) -> JointwiseQR:
-        """What one would hold that had seen the rows of all parts."""
+        """Return one accumulator with the rows of all parts."""
         whole = JointwiseQR(len(parts[0].rows))
         for j in range(len(whole.rows)):
             seen = [R for part in parts if (R := part.triangle(j)) is not None]
@@ -131,20 +132,20 @@ class JointwiseQR:
         return whole
 
     def triangle(self, joint: int) -> FloatArray | None:
-        """R of [W τ] of one joint; None before its first row."""
+        """Return the triangular factor R of [W τ] of one joint; None before its first row."""
         return self._triangles[joint]
 
     def system(self) -> tuple[FloatArray, FloatArray, IntArray]:
-        """An equivalent small system: X (m, p), y (m,) and the joint (m,) of each row."""
+        """Return a small equivalent system: X (m, p), y (m,) and the joint (m,) of each row."""
         triangles = self._filled()
         joint = np.concatenate([np.full(len(R), j) for j, R in enumerate(triangles)])
         stacked = np.vstack(triangles)
         return stacked[:, :-1], stacked[:, -1], joint
 
     def residual_std(self, coefficients: FloatArray) -> FloatArray:
-        """(n,) standard deviation per joint of target − W·coefficients (p,).
+        """Return (n,) the standard deviation of target − W·coefficients (p,) for each joint.
 
-        The parameters' degrees of freedom are shared equally among the joints.
+        The degrees of freedom of the parameters are divided equally among the joints.
         """
         extended = np.append(coefficients, -1.0)
         squares = np.array([np.sum((R @ extended) ** 2) for R in self._filled()])
@@ -157,9 +158,10 @@ class JointwiseQR:
 
 
 def _compressed(matrix: FloatArray) -> FloatArray:
-    """R with RᵀR = matrixᵀ matrix; columns of zeros cost nothing.
+    """Return R with RᵀR = matrixᵀ matrix; columns of zeros are skipped.
 
-    A joint feels no link before its own, so half of a base regressor's blocks are zero.
+    The torque of a joint does not depend on preceding links, so half of the blocks of a base
+    regressor are zero.
     """
     used = np.any(matrix != 0.0, axis=0)
     triangle = upper_triangle(matrix[:, used])
@@ -170,16 +172,16 @@ def _compressed(matrix: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Coefficients and what one needs to tell how certain they are.
+    """Least-squares solution, with the data from which its standard errors are computed.
 
     Attributes:
-        coefficients: (p,).
-        sigma: (n,) standard deviation of each joint's residual.
-        weight: (n,) weight of each joint, 1/σ² of the fit before, or 1.
-        bread: (p, p) (XᵀWX)⁻¹.
-        rank: Excited directions.
+        coefficients: (p,) coefficients.
+        sigma: (n,) standard deviation of the residual of each joint.
+        weight: (n,) weight of each joint: 1/σ² of the previous fit, or 1.
+        bread: (p, p) matrix (XᵀWX)⁻¹.
+        rank: Number of excited parameter directions.
         condition: Condition number of the column-scaled, weighted regressor.
-        system: The compressed, unweighted observations.
+        system: Compressed, unweighted observations.
     """
 
     coefficients: FloatArray
@@ -191,16 +193,18 @@ class Solution:
     system: System
 
     def weighted_system(self) -> tuple[FloatArray, FloatArray]:
-        """X (m, p) and y (m,) with every row divided by the deviation its joint is given."""
+        """Return X (m, p) and y (m,) with each row multiplied by the root of its joint weight."""
         X, y, joint = self.system
         root = np.sqrt(self.weight)[joint]
         return X * root[:, None], y * root
 
 
 def jointwise_least_squares(observed: JointwiseQR, *, weighted: bool) -> Solution:
-    """Ordinary least squares; then, if `weighted`, again with joints weighted by 1/σ².
+    """Return the least-squares solution, with joints weighted by 1/σ² if `weighted` is set.
 
-    Source: Jubien, Gautier & Janot 2014 (IDIM-WLS).
+    The weights of the joints come from a first, ordinary least-squares fit.
+
+    Source: The weighted fit is the method IDIM-WLS of Jubien, Gautier & Janot 2014.
     """
     system = X, y, joint = observed.system()
     fit, weight = weighted_least_squares(X, y), np.ones(len(observed.rows))
@@ -213,26 +217,27 @@ def jointwise_least_squares(observed: JointwiseQR, *, weighted: bool) -> Solutio
 
 
 def at_least_rounding(sigma: FloatArray, y: FloatArray) -> FloatArray:
-    """Deviations (n,) above 0 to divide by.
+    """Return standard deviations (n,) with a lower bound above 0.
 
-    Noise-free data would weight by 1/0, and so would a target y (m,) that is 0 throughout.
+    Without a bound of the standard deviation, noise-free data, or a target y (m,) of zeros, would
+    have infinite weights.
     """
     floor = 1e-12 * float(np.max(np.abs(y))) or 1.0
     return np.asarray(np.maximum(sigma, floor))
 
 
 ALPHAS = np.concatenate([[0.0], np.geomspace(1e-9, 1e-1, 25)])
-"""Penalties that are tried, as shares of a column's sum of squares."""
+"""Candidate penalties of the ridge regression, as shares of the sum of squares of a column."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ridge:
-    """A ridge solution.
+    """Ridge-regression solution.
 
     Attributes:
-        coefficients: (p,).
-        alpha: Penalty of the squared coefficient of a column of length 1.
-        errors: (A,) mean squares left out at every alpha of `ALPHAS`; empty if alpha was given.
+        coefficients: (p,) coefficients.
+        alpha: Penalty of the squared coefficient of a column that has length 1.
+        errors: (A,) sum of squared held-out errors for each value of `ALPHAS`.
     """
 
     coefficients: FloatArray
@@ -241,15 +246,15 @@ class Ridge:
 
 
 def ridge(X: FloatArray, y: FloatArray, alpha: float, penalised: BoolArray) -> FloatArray:
-    """(p,) minimising ‖Xβ − y‖² + alpha Σ (lengthₖ βₖ)² over the penalised columns.
+    """Return (p,) the minimiser of ‖Xβ − y‖² + alpha Σ (lengthₖ βₖ)² over penalised columns.
 
-    Columns are scaled to length 1 before they are penalised, so that units do not matter.
+    The penalty applies to columns scaled to length 1, so it does not depend on units.
 
     Args:
-        X: (m, p).
-        y: (m,).
-        alpha: At least 0.
-        penalised: (p,).
+        X: (m, p) regressor.
+        y: (m,) target.
+        alpha: Penalty of the squared coefficients, at least 0.
+        penalised: (p,) mask of the penalised columns.
     """
     length = np.linalg.norm(X, axis=0)
     length = np.where(length > 0, length, 1.0)
@@ -260,11 +265,11 @@ def ridge(X: FloatArray, y: FloatArray, alpha: float, penalised: BoolArray) -> F
 
 
 def left_out_ridge(parts: Sequence[tuple[FloatArray, FloatArray]], penalised: BoolArray) -> Ridge:
-    """Ridge with the penalty that predicts best the trajectory that was left out.
+    """Return the ridge solution with the penalty that predicts held-out trajectories best.
 
     Args:
-        parts: X (m, p) and y (m,) of every trajectory, at least two.
-        penalised: (p,).
+        parts: List of X (m, p) and y (m,) of every trajectory, at least two.
+        penalised: (p,) mask of the penalised columns.
     """
     errors = np.zeros(len(ALPHAS))
     for out, (X, y) in enumerate(parts):
@@ -272,7 +277,7 @@ def left_out_ridge(parts: Sequence[tuple[FloatArray, FloatArray]], penalised: Bo
         kept, target = (np.concatenate(side) for side in zip(*others, strict=True))
         for i, alpha in enumerate(ALPHAS):
             errors[i] += np.sum((X @ ridge(kept, target, alpha, penalised) - y) ** 2)
-    # Of penalties that do equally well the largest one: it is the most cautious.
+    # Of equally good penalties, the largest one is used as the most cautious choice.
     best = int(np.flatnonzero(errors <= errors.min() * (1.0 + 1e-9))[-1])
     X, y = (np.concatenate(side) for side in zip(*parts, strict=True))
     alpha = float(ALPHAS[best])
@@ -282,26 +287,29 @@ def left_out_ridge(parts: Sequence[tuple[FloatArray, FloatArray]], penalised: Bo
 FOLDS = 5
 
 GROUP_PENALTIES = np.logspace(7, 0, 15)
-"""Candidates, beside columns of variance 1. The first shrinks everything away, and is the one where
-nothing can be held out."""
+"""Candidate penalties for columns that have variance 1.
+
+The first candidate penalty is so large that all coefficients are nearly 0; it is used if no group
+can be held out.
+"""
 
 FARTHEST = 6.0
-"""Standard deviations from the mean of training beyond which an input counts as no farther."""
+"""Limit of a standardised input, in standard deviations from the training mean."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroupedRidge:
-    """Ridge regression of one target, its penalty chosen by holding out whole groups.
+    """Ridge regression of one target, with a penalty chosen by holding out whole groups.
 
-    Used for what physics leaves over: with a penalty chosen so, a correction that does not carry
-    over to new poses is shrunk to nothing by itself.
+    The regression is used as a correction of a physical model. Because the penalty is chosen on
+    held-out groups, a correction that does not apply to new poses becomes nearly 0.
 
     Attributes:
-        mean, scale: (F,) of the inputs in training.
-        weights: (F,) of the standardised inputs.
-        leverage: (F, F) G with xᵀGx the leverage of a standardised input x.
-        penalty: The one chosen.
-        residual: (N,) target less what was predicted without its own group.
+        mean, scale: (F,) mean and standard deviation of each input in the training data.
+        weights: (F,) weights of the standardised inputs.
+        leverage: (F, F) matrix G with xᵀGx the leverage of a standardised input x.
+        penalty: Chosen penalty.
+        residual: (N,) target minus the prediction of a fit that left out the group of the sample.
     """
 
     mean: FloatArray
@@ -313,9 +321,10 @@ class GroupedRidge:
 
     @staticmethod
     def fit(X: FloatArray, y: FloatArray, groups: IntArray) -> GroupedRidge:
-        """Fit y (N,) on X (N, F) without intercept, groups (N,) kept together.
+        """Return the ridge regression of y (N,) on X (N, F) without intercept, for groups (N,).
 
-        Every candidate predicts each group from the others; the best one is then fitted to all.
+        With every candidate penalty, each group is predicted from the other groups. The best
+        candidate penalty is then used for a fit to all rows.
         """
         mean, scale = X.mean(axis=0), X.std(axis=0)
         scale = np.where(scale > 1e-12 * np.abs(X).max(axis=0, initial=0.0), scale, np.inf)
@@ -331,12 +340,12 @@ class GroupedRidge:
         )  # fmt: skip
 
     def predict(self, X: FloatArray) -> FloatArray:
-        """(N,) correction for X (N, F)."""
+        """Return (N,) the correction for X (N, F)."""
         correction: FloatArray = self._standardised(X) @ self.weights
         return correction
 
     def leverages(self, X: FloatArray) -> FloatArray:
-        """(N,) how much of one observation's variance a prediction at X (N, F) inherits."""
+        """Return (N,) the variance of a prediction at X (N, F), for observations of variance 1."""
         Z = self._standardised(X)
         return np.asarray(np.einsum("nf,fg,ng->n", Z, self.leverage, Z))
 
@@ -345,7 +354,7 @@ class GroupedRidge:
 
 
 def _out_of_group(Z: FloatArray, y: FloatArray, groups: IntArray) -> FloatArray:
-    """(N, candidates) predictions of each row from the folds its group is not in."""
+    """Return (N, candidates) the prediction of each row by fits that left out its group."""
     predicted = np.zeros((len(y), len(GROUP_PENALTIES)))
     for rest, out in pose_folds(groups):
         values, vectors = np.linalg.eigh(Z[rest].T @ Z[rest])
@@ -356,9 +365,10 @@ def _out_of_group(Z: FloatArray, y: FloatArray, groups: IntArray) -> FloatArray:
 
 
 def pose_folds(groups: IntArray) -> Iterator[tuple[BoolArray, BoolArray]]:
-    """Which rows (N,) to fit on and which to judge on, groups (N,) kept together.
+    """Yield the masks (N,) of training and evaluation rows, with groups (N,) kept together.
 
-    At most `FOLDS` pairs, the same for the same groups; none with a single group.
+    At most `FOLDS` pairs of masks are yielded, which depend on the groups only; a single group
+    yields no pair.
     """
     names = np.unique(groups)
     folds = min(FOLDS, len(names))
@@ -372,19 +382,19 @@ def pose_folds(groups: IntArray) -> Iterator[tuple[BoolArray, BoolArray]]:
 
 
 LEAST_GAP = 1.02
-"""σ'/σ below which the solution says nothing."""
+"""Ratio σ'/σ below which total least squares is rejected as ill-posed."""
 
 NARROW_GAP = 1.5
-"""σ'/σ below which it is magnified so much that people should know."""
+"""Ratio σ'/σ below which a note reports strong noise amplification."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TotalLeastSquares:
-    """A mixed LS–TLS solution.
+    """Solution of the mixed problem of least squares and total least squares (LS–TLS).
 
     Attributes:
-        coefficients: (p,).
-        gap: σ'/σ, how far the problem is from ill-posed; above 1.
+        coefficients: (p,) coefficients.
+        gap: Ratio σ'/σ, a measure of the distance from an ill-posed problem; above 1.
     """
 
     coefficients: FloatArray
@@ -392,38 +402,40 @@ class TotalLeastSquares:
 
     @property
     def note(self) -> str:
-        """For people, empty where there is nothing to say."""
+        """Note for the user on noise amplification; empty if the problem is well-posed."""
         if self.gap >= NARROW_GAP:
             return ""
         share = 1.0 / (1.0 - self.gap**-2)
         return (
-            "total least squares is nearly ill-posed here: the least excited direction stands out "
-            f"of the noise by a factor of {self.gap:.3g} only, and is magnified {share:.3g} times"
+            "total least squares is nearly ill-posed here: the least excited direction exceeds "
+            f"the noise by a factor of only {self.gap:.3g}, and its estimate is magnified "
+            f"{share:.3g} times"
         )
 
 
 def total_least_squares(
     X: FloatArray, y: FloatArray, noise: FloatArray, target_noise: float, exact: BoolArray
 ) -> TotalLeastSquares:
-    """Coefficients (p,) of y = Xβ with noise in both.
+    """Return the coefficients (p,) of y = Xβ with noise in X and y.
 
-    Columns known exactly (a constant) are projected out first, the others are divided by their
-    noise, and the smallest right singular vector of [X y] gives the coefficients (Van Huffel &
-    Vandewalle, The Total Least Squares Problem, 1991, mixed LS–TLS; in identification Gautier &
-    Briot). It is consistent where the noise of the columns is independent, equal after scaling, and
-    known up to a factor; motion noise in a dynamic regressor is none of these exactly. And it
-    magnifies noise: with σ' the smallest singular value of X and σ that of [X y], the problem is
-    like least squares with XᵀX − σ² 1, ill-posed where σ' is not well above σ.
+    Exactly known regressor columns (constants) are projected out, and the other columns are divided
+    by their noise. The coefficients follow from the smallest right singular vector of [X y] (Van
+    Huffel & Vandewalle, The Total Least Squares Problem, 1991, mixed LS–TLS; in identification
+    Gautier & Briot). Total least squares is consistent if the noise of the columns is independent,
+    equal after scaling, and known up to a factor. Motion noise in a dynamic regressor satisfies
+    these conditions only approximately. Total least squares also amplifies noise. Let σ' be the
+    smallest singular value of X and σ that of [X y]. Total least squares then behaves like least
+    squares with XᵀX − σ² 1, and is ill-posed if σ' is not well above σ.
 
     Args:
-        X: (m, p).
-        y: (m,).
-        noise: (p,) standard deviation of each column's noise.
-        target_noise: Of the target.
-        exact: (p,) columns without noise.
+        X: (m, p) regressor.
+        y: (m,) target.
+        noise: (p,) standard deviation of the noise in each column.
+        target_noise: Standard deviation of the noise in the target.
+        exact: (p,) mask of the columns that have no noise.
 
     Raises:
-        FitError: It is ill-posed.
+        FitError: The problem is ill-posed, because σ' is not well above σ.
     """
     order = np.concatenate([np.flatnonzero(exact), np.flatnonzero(~exact)])
     fixed, p = int(exact.sum()), len(exact)
@@ -450,10 +462,13 @@ def total_least_squares(
 
 
 def rough(values: FloatArray) -> FloatArray:
-    """(p,) standard deviation of the noise on smooth columns (N, p), from third differences.
+    """Return (p,) the noise standard deviation of smooth columns (N, p).
 
-    White noise of deviation s has third differences of deviation √20 s; a smooth signal has almost
-    none. The median over time leaves out steps.
+    The noise is computed from third differences.
+
+    White noise with the standard deviation s has third differences with the standard deviation √20
+    s, whereas a smooth signal has nearly no third differences. The median over time excludes steps
+    in the signal.
     """
     if len(values) < 4:
         return np.zeros(values.shape[1])
@@ -462,24 +477,24 @@ def rough(values: FloatArray) -> FloatArray:
 
 
 class Instrumental(NamedTuple):
-    """Coefficients (p,) and their cluster-robust standard errors (p,), inf if not determined."""
+    """Coefficients (p,) and cluster-robust standard errors (p,); infinite if not determined."""
 
     coefficients: FloatArray
     std_error: FloatArray
 
 
 def instrumental(X: FloatArray, y: FloatArray, Z: FloatArray, clusters: IntArray) -> Instrumental:
-    """β = (ZᵀX)⁻¹ Zᵀy, with as many instruments as regressors.
+    """Return β = (ZᵀX)⁻¹ Zᵀy, with as many instruments as regressors.
 
-    Consistent when Z is independent of the noise in X and y, where least squares is not. The
-    covariance is the sandwich over clusters, times G/(G−1) · (N−1)/(N−p) as `CR1` in
-    `hil.estimators.covariance`.
+    The instrumental-variable estimate is consistent if Z is independent of the noise in X and y,
+    whereas least squares is not. The covariance of the estimate is the sandwich estimator over
+    clusters, times G/(G−1) · (N−1)/(N−p) as for `CR1` in `hil.estimators.covariance`.
 
     Args:
         X: (N, p) regressors.
         y: (N,) target.
         Z: (N, p) instruments.
-        clusters: (N,) rows of one number depend on each other.
+        clusters: (N,) index of the cluster of each row; errors within a cluster may be correlated.
     """
     N, p = X.shape
     scale_X, scale_Z = (np.maximum(np.linalg.norm(M, axis=0), 1e-300) for M in (X, Z))

@@ -1,15 +1,17 @@
-"""A fitted model on disk: a folder that can be read on other machines, years later.
+"""Storage of a fitted model in a folder that other machines can read years later.
 
-`model.json` says what the model is: estimator and parameters, the robot, names and units of what
-was fitted, and a digest of the arrays. `model.safetensors` holds the arrays, `robot.urdf` a copy of
-the URDF if the robot has one. Never pickle: models come from people one does not know. `model.json`
-is written last, so that a folder with one is whole; models are never overwritten, and equal models
-give equal bytes.
+A model folder contains three files. `model.json` describes the model: estimator, parameters, robot,
+names and units of the fitted quantities, and a digest of the arrays. `model.safetensors` contains
+the fitted arrays. `robot.urdf` is a copy of the URDF if the robot was loaded from a URDF. Pickle is
+never used, because model files can come from unknown sources. The file `model.json` is written
+last, so a folder that contains this file is complete. Stored models are never overwritten, and
+equal models are stored as equal bytes.
 
-This module knows files but no estimators: it writes what a model tells of itself (`save_model`) and
-reads documents, arrays and robots back, and refuses what is damaged, newer than this hil, or of an
-arm whose description has changed. `hil.estimators.base.load_model_file` makes a model of them;
-which folder a path means is for `hil.estimators.model_folder` to say.
+The module `model_file` does not depend on any estimator. `save_model` writes the description that a
+fitted model returns about itself. The read functions return documents, arrays and robots, and
+reject files that are damaged, written by a newer version of hil, or made for an arm whose
+description has changed. `hil.estimators.base.load_model_file` creates the model from document,
+arrays and robot, and `hil.estimators.model_folder` finds the model folder of a path.
 """
 
 from __future__ import annotations
@@ -33,48 +35,48 @@ MODEL_FORMAT = 1
 ARRAYS_FILE, URDF_FILE = "model.safetensors", "robot.urdf"
 
 ROWS_ARRAY = "training_rows"
-"""Array that holds the fingerprints of the training data."""
+"""Name of the array that contains the fingerprints of the training data."""
 
 Array = TypeVar("Array")
 
 
 class Savable(Protocol):
-    """What a fitted model offers for its file; every `RobotEstimator` does."""
+    """Interface of a fitted model that can be stored; every `RobotEstimator` implements it."""
 
     @property
     def estimator(self) -> str:
-        """Name of the estimator."""
+        """Name of the estimator that was fitted."""
 
     @property
     def robot_(self) -> RobotModel:
-        """Robot that the model is of."""
+        """Robot model to which the estimator was fitted."""
 
     @property
     def training_(self) -> Training | None:
-        """What it was trained on, if known."""
+        """Summary of the training data, if known."""
 
     def get_params(self) -> dict[str, Any]:
-        """Return the parameters of the estimator."""
+        """Return the parameters of the estimator by name."""
 
     def fitted_arrays(self) -> Mapping[str, FloatArray]:
-        """Return all numbers that were fitted."""
+        """Return all fitted arrays by name."""
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Return names and units of what was fitted."""
+        """Return the names and units of the fitted quantities, as values that JSON can store."""
 
 
 def save_model(model: Savable, folder: Path) -> Path:
-    """Write a fitted model into `folder`, `model.json` last; returns the folder.
+    """Write a fitted model into `folder` and return the folder; `model.json` is written last.
 
     Raises:
-        FitError: The model is not fitted, its robot cannot be stored, or the folder holds a model
-            already.
+        FitError: The model is not fitted, its robot cannot be stored, or the folder already
+            contains a model.
     """
     if not hasattr(model, "sigma_"):
         raise FitError(f"{model.estimator} is not fitted yet", hint="call fit before save")
     if (folder / MODEL_FILE).exists():
         raise FitError(
-            f"{folder} holds a model already, and models are never overwritten",
+            f"{folder} already contains a model, and models are never overwritten",
             hint="save into a new folder",
         )
     files = model_files(model)
@@ -85,7 +87,10 @@ def save_model(model: Savable, folder: Path) -> Path:
 
 
 def model_files(model: Savable) -> dict[str, bytes]:
-    """The files of a model folder by name, `model.json` last; equal models give equal bytes."""
+    """Return the contents of a model folder by file name; `model.json` is the last entry.
+
+    Equal models are stored as equal bytes.
+    """
     from safetensors.numpy import save
 
     fitted: dict[str, Any] = dict(model.fitted_arrays())
@@ -107,16 +112,16 @@ def model_files(model: Savable) -> dict[str, bytes]:
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """What `model.json` says.
+    """Return the parsed content of `model.json`.
 
     Raises:
-        DataError: It cannot be read, is damaged, or was written by a newer hil.
+        DataError: The file cannot be read, is damaged, or was written by a newer version of hil.
     """
     try:
         document = json.loads(path.read_bytes())
     except OSError as error:
         raise DataError(
-            f"cannot read {path}: {error.strerror}", hint="see whether you may read it"
+            f"cannot read {path}: {error.strerror}", hint="check the permissions of the file"
         ) from error
     except (ValueError, RecursionError) as error:
         raise DataError(
@@ -125,22 +130,24 @@ def read_document(path: Path) -> dict[str, Any]:
     version = document.get("hil_model") if isinstance(document, dict) else None
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise DataError(
-            f"{path} does not say which model format it has (hil_model)",
+            f"{path} does not state its model format (hil_model)",
             hint="copy the model folder again, or fit the model again",
         )
     if version > MODEL_FORMAT:
         raise DataError(
-            f"{path} was written by a newer hil: format {version}, known here {MODEL_FORMAT}",
+            f"{path} was written by a newer hil: format {version}, this version reads up to "
+            f"{MODEL_FORMAT}",
             hint="update hil (pip install --upgrade hil)",
         )
     return dict(document)
 
 
 def read_arrays(path: Path, digest: str) -> dict[str, FloatArray]:
-    """The arrays of a model.
+    """Return the arrays of a model file by name.
 
     Raises:
-        DataError: They cannot be read, are not those that `model.json` belongs to, or no numbers.
+        DataError: The file cannot be read, its digest differs from the digest in `model.json`, or
+            an array is not numeric.
     """
     from safetensors import SafetensorError
     from safetensors.numpy import load
@@ -160,22 +167,25 @@ def read_arrays(path: Path, digest: str) -> dict[str, FloatArray]:
         arrays: dict[str, FloatArray] = load(content)
     except (SafetensorError, KeyError, ValueError, TypeError) as error:
         raise DataError(
-            f"{path} is no safetensors file of numbers: {error!s:.100}", hint="fit the model again"
+            f"{path} is not a safetensors file of numbers: {error!s:.100}",
+            hint="fit the model again",
         ) from error
     for name, values in arrays.items():
         if values.dtype.kind not in "fiu":
             raise DataError(
-                f"{path}: {name} holds {values.dtype}, no real numbers", hint="fit the model again"
+                f"{path}: {name} has the type {values.dtype}, not real numbers",
+                hint="fit the model again",
             )
     return arrays
 
 
 def store_robot(robot: RobotModel) -> tuple[dict[str, Any], bytes | None]:
-    """What `model.json` says about the robot, and the URDF to be stored beside it.
+    """Return the robot entry of `model.json` and the URDF content; None for a model without URDF.
 
     Raises:
-        FitError: The URDF is gone, or the robot is not what its description leads to (the file
-            was changed since, say), so the stored model would predict something else.
+        FitError: The URDF cannot be read, or its description now yields a different robot, for
+            example because the file changed. A model stored with a different robot would predict
+            different efforts.
     """
     document = robot.to_dict()
     content = None
@@ -199,19 +209,19 @@ def _require_same(robot: RobotModel, document: dict[str, Any]) -> None:
     ]
     if any(ours.shape != theirs.shape or not np.allclose(ours, theirs) for ours, theirs in pairs):
         raise FitError(
-            f"the robot model differs from what {robot.name} leads to when it is loaded again, so "
-            "the fitted model cannot be stored",
-            hint="load the robot from its file again and fit again",
+            f"loading {robot.name} again gives a different robot model, so the fitted model "
+            "cannot be stored",
+            hint="load the robot model from its file, then fit again",
         )
 
 
 def restore_robot(document: dict[str, Any], folder: Path) -> RobotModel:
-    """The robot model a folder was stored with: mounting, rotor inertias and loads included.
+    """Return the robot model stored in a model folder, with mounting, rotor inertias and payloads.
 
     Raises:
-        DataError: Its built-in arm or URDF cannot be used here, or the file that describes its arm
-            was changed since.
-        KeyError, TypeError, ValueError: The document is damaged.
+        DataError: The built-in arm or URDF cannot be used on this machine, or the file that
+            describes the arm has changed since the model was stored.
+        KeyError, TypeError, ValueError: The content of the document is damaged.
     """
     if document["kind"] == "urdf":
         document = document | {"name": str(folder / URDF_FILE)}
@@ -226,15 +236,15 @@ def restore_robot(document: dict[str, Any], folder: Path) -> RobotModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Training:
-    """Enough to recognise the training data and to scale errors as they were scaled then.
+    """Summary of the training data, used to detect reuse of samples and to scale errors.
 
     Attributes:
         sources: Names of the files or run directories, without their folders.
-        samples: Rows.
-        effort_std: (n,) standard deviation of the effort, the scale for NRMSE.
-        rows: Fingerprints of the samples.
+        samples: Number of rows of the training data.
+        effort_std: (n,) standard deviation of the effort, which is the scale of the NRMSE.
+        rows: Fingerprints of the training samples.
         serial: Serial number of the robot; empty if unknown.
-        payloads: The loads declared; None in older model files.
+        payloads: Declared payloads of the training data; None for older model files.
     """
 
     sources: tuple[str, ...]
@@ -246,7 +256,7 @@ class Training:
 
     @staticmethod
     def of(dataset: Dataset) -> Training:
-        """What there is to remember of a dataset."""
+        """Return the training summary of a dataset."""
         paths = dict.fromkeys(condition.source for condition in dataset.conditions)
         names = tuple(Path(path).name for path in paths if path)
         std = np.asarray(np.std(dataset["effort"], axis=0))
@@ -255,7 +265,10 @@ class Training:
         return Training(names, len(dataset), std, rows, payloads=loads)
 
     def facts(self) -> dict[str, Any]:
-        """For `model.json`; the fingerprints go into its arrays."""
+        """Return the training summary as entries for `model.json`.
+
+        The fingerprints are not included, because they are stored as an array.
+        """
         return {
             "sources": list(self.sources),
             "samples": self.samples,
@@ -268,10 +281,10 @@ class Training:
 
     @staticmethod
     def restored(facts: Mapping[str, Any], arrays: Mapping[str, Any]) -> Training:
-        """Inverse of `facts`.
+        """Return the summary from the output of `facts` and from the arrays of the model file.
 
         Raises:
-            KeyError, TypeError, ValueError: Something is missing or garbled.
+            KeyError, TypeError, ValueError: An entry of the document is missing or invalid.
         """
         loads = facts.get("payloads")
         return Training(
@@ -291,10 +304,10 @@ def _load(numbers: Sequence[float]) -> Payload:
 
 
 def with_prefix(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
-    """The arrays under longer names."""
+    """Return the arrays with a prefix added to their names."""
     return {prefix + name: values for name, values in arrays.items()}
 
 
 def without_prefix(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
-    """Those arrays whose names begin with the prefix, by the rest of their names."""
+    """Return the arrays whose names begin with the prefix, and remove the prefix."""
     return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}

@@ -1,7 +1,7 @@
-"""Which model is meant by a path: the folder itself, or the only one in a run.
+"""Search for the model folder of a path: the path itself, or the only model of a run.
 
-Apart from `hil.estimators.model_file`, because lists of runs and the dashboard ask for folders of
-models without ever reading one, and must not load a robot model for it.
+The functions of this module are separate from `hil.estimators.model_file`, because run lists and
+the dashboard only need the folders of models and must not load a robot model.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ MODEL_FILE = "model.json"
 
 
 def models_below(folder: Path) -> list[Path]:
-    """Folders of models in a folder, and in `fit` where it is a run, by name."""
+    """Return the model folders inside a folder and inside its `fit` subfolder, sorted by path."""
     files = (file for under in ("*", "fit/*") for file in folder.glob(f"{under}/{MODEL_FILE}"))
     return sorted(file.parent for file in files)
 
@@ -23,10 +23,11 @@ EXAMPLE = "name a folder such as RUN/fit/rigid-hysteresis-… or models/rigid-hy
 
 
 def only_model(path: Path) -> Path:
-    """The folder of the model at a path, or of the only one below it.
+    """Return the model folder at a path, or the only model folder in the run below it.
 
     Raises:
-        DataError: There is none, or there are several, which are listed.
+        DataError: The path contains no model or several models; if there are several, the message
+            lists the models.
     """
     if (path / MODEL_FILE).is_file():
         return path
@@ -35,24 +36,24 @@ def only_model(path: Path) -> Path:
         return below[0]
     if below:
         raise DataError(
-            f"{path} holds {len(below)} models: {', '.join(map(str, below))}", hint="give one"
+            f"{path} contains {len(below)} models: {', '.join(map(str, below))}", hint="give one"
         )
-    raise DataError(f"{path} {_lack(path)}", hint=_where(path))
+    raise DataError(f"{path} {_fault(path)}", hint=_remedy(path))
 
 
-def _lack(path: Path) -> str:
+def _fault(path: Path) -> str:
     if not path.exists():
-        return "is no model folder: it does not exist"
+        return "is not a model folder: it does not exist"
     if not path.is_dir():
-        return "is a file, no model folder"
+        return "is a file, not a model folder"
     if (path / "start.json").is_file():
         return "is a run without a model"
-    return f"is no model folder: there is no {MODEL_FILE} in it"
+    return f"is not a model folder: it contains no {MODEL_FILE}"
 
 
-def _where(path: Path) -> str:
+def _remedy(path: Path) -> str:
     if (path / "start.json").is_file():
         return f"fit one: hil fit {path} --estimator NAME"
     if path.is_file() and (path.parent / MODEL_FILE).is_file():
-        return f"give the folder it lies in: {path.parent}"
+        return f"pass the folder of this file: {path.parent}"
     return EXAMPLE

@@ -1,23 +1,27 @@
-"""Parameters of estimators and studies: declared in a table, checked in one place.
+"""Declaration and validation of the parameters of estimators and studies.
 
-A class lists its parameters as it lists fields of a dataclass, with the check, the limits and the
-meaning of each:
+A class declares its parameters like the fields of a dataclass, each with a check, limits and a
+description:
 
     class RigidWls(RigidLinear):
         sign_width: float = parameter(0.01, number, at_least=0.0, doc="Width of the tanh [rad/s].")
         weighted: bool = parameter(True, flag, doc="Weight the joints by their residual.")
 
-`Parametrised` makes the constructor of them (keywords only, everything checked), with a signature
-and an `Args` section for `help`, and scikit-learn's `get_params` and `set_params`, without
-importing scikit-learn. A subclass inherits the parameters behind its own; one that assigns a plain
-value instead (`form = "shared"`) has no such parameter. What parameters must be together, it checks
-in `_check_together`. Classes with a constructor of their own work as well: its keywords are the
-parameters, each stored in an attribute of the same name. Such a class cannot declare parameters
-too, because its constructor would ignore them: TypeError when the class is made.
+`Parametrised` creates the constructor from the declared parameters: all parameters are keywords,
+and all values are checked. The constructor has a signature and an `Args` section for `help`.
+`Parametrised` also provides `get_params` and `set_params` of scikit-learn without importing
+scikit-learn. A subclass lists its own parameters first and inherits the parameters of its bases. A
+subclass that assigns a plain value to a parameter (`form = "shared"`) removes this parameter. The
+method `_check_together` checks conditions that involve several parameters.
 
-The checks (`number`, `whole`, `share`, `flag`, `choice`, `mapping`, `settings`) take the
-parameter's name and value, return the value to be stored and raise `SpecError` with that name;
-`as_given` leaves a parameter to `_check_together`.
+A class can also define a constructor instead of declaring parameters. The keywords of a
+user-defined constructor are the parameters, and each must be stored in an attribute of the same
+name. A class with a user-defined constructor must not declare parameters with `parameter`, because
+this constructor would ignore them; the class definition raises TypeError.
+
+The checks (`number`, `whole`, `share`, `flag`, `choice`, `mapping`, `settings`) take the name and
+the value of a parameter, return the value to be stored and raise `SpecError` with that name.
+`as_given` accepts every value, so that `_check_together` can check the parameter.
 """
 
 from __future__ import annotations
@@ -34,17 +38,18 @@ from pydantic import BaseModel, BeforeValidator, ValidationError
 from hil.core import SpecError, did_you_mean
 
 MOST_SEED = 2**32 - 1
-"""The largest that every generator of random numbers takes."""
+"""Largest seed that every supported random generator accepts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A declared parameter.
+    """Declaration of one parameter of an estimator or study.
 
     Attributes:
-        default: As the signature shows it; it is checked like any other value.
-        check: From the parameter's name and a value to the value that is stored.
-        doc: What it means, with its unit.
+        default: Default value as shown in the signature; the check is applied to the default too.
+        check: Function that takes the parameter name and a value, and returns the value to be
+            stored.
+        doc: Description of the parameter, with its unit.
     """
 
     default: Any
@@ -63,12 +68,12 @@ def parameter(
     """Declare a parameter of a `Parametrised` class.
 
     Args:
-        default: Its value when it is not given.
-        check: One of the checks of this module.
-        *args: Of the check, behind name and value.
-        doc: What it means, with its unit.
-        optional: Whether None is allowed besides, and stored as it is.
-        **limits: Keywords of the check.
+        default: Default value of the parameter.
+        check: One of the check functions of this module.
+        *args: Positional arguments of the check function that follow name and value.
+        doc: Description of the parameter, with its unit.
+        optional: Whether None is also allowed; None is stored without a check.
+        **limits: Keyword arguments of the check function.
     """
 
     def checked(name: str, value: Any) -> Any:
@@ -78,14 +83,14 @@ def parameter(
 
 
 class Parametrised:
-    """Keyword-only constructor parameters that can be read, set and stored."""
+    """Base class with keyword-only constructor parameters that can be read, changed and stored."""
 
     _declared: ClassVar[dict[str, Parameter]] = {}
     __signature__: ClassVar[inspect.Signature]
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        # Own names come first, and hide what bases declare under the same name.
+        # Names of the class come first and hide declarations of its bases with the same name.
         own: dict[str, Any] = {}
         for base in cls.__mro__:
             own = own | {name: value for name, value in vars(base).items() if name not in own}
@@ -99,7 +104,7 @@ class Parametrised:
     @classmethod
     def _refuse_unread_parameters(cls) -> None:
         """Raise TypeError if the class declares parameters that its constructor does not read."""
-        # Of a base that is parametrised itself, the constructor may have fixed them.
+        # Parameters of a parametrised base do not count, because the constructor may have set them.
         own = [base for base in cls.__mro__ if base is cls or not issubclass(base, Parametrised)]
         ignored = [
             name for base in own for name, each in vars(base).items() if isinstance(each, Parameter)
@@ -120,11 +125,11 @@ class Parametrised:
         self._check_together()
 
     def _check_together(self) -> None:
-        """Raise SpecError if parameters that are valid one by one exclude each other."""
+        """Raise SpecError if parameter values that are valid separately contradict each other."""
 
     @classmethod
     def _signature(cls) -> inspect.Signature:
-        """The declared parameters, or those of a constructor that the class or a base has."""
+        """Return the signature of the declared parameters, or of a user-defined constructor."""
         if cls.__init__ is not Parametrised.__init__:
             own = inspect.signature(cls.__init__)
             return own.replace(parameters=list(own.parameters.values())[1:])
@@ -136,18 +141,18 @@ class Parametrised:
 
     @classmethod
     def parameter_names(cls) -> tuple[str, ...]:
-        """Names of the constructor's parameters."""
+        """Return the names of the constructor parameters."""
         return tuple(inspect.signature(cls).parameters)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """The parameters as given; `deep` is there for scikit-learn's sake."""
+        """Return the parameters by name; `deep` exists for compatibility with scikit-learn."""
         return {name: getattr(self, name) for name in self.parameter_names()}
 
     def set_params(self, **params: Any) -> Self:
-        """Change parameters; the estimator must be fitted again.
+        """Change parameters and return the estimator, which must then be fitted again.
 
         Raises:
-            SpecError: There is no such parameter, or it cannot have that value; then nothing has
+            SpecError: A parameter is unknown or its value is invalid; in this case, no parameter is
                 changed.
         """
         require_known(params, self.parameter_names(), type(self).__name__)
@@ -165,7 +170,7 @@ Settings = TypeVar("Settings", bound=BaseModel)
 
 
 def as_given(name: str, value: Any) -> Any:
-    """Return the value, whatever it is."""
+    """Return the parameter value unchanged and unchecked."""
     return value
 
 
@@ -177,10 +182,11 @@ def number(
     above: float | None = None,
     at_most: float | None = None,
 ) -> float:
-    """A finite number within its limits.
+    """Return the parameter value as a finite float within its limits.
 
     Raises:
-        SpecError: It is not; the message names the parameter.
+        SpecError: The value is not a finite number within the limits; the message names the
+            parameter.
     """
     limits = [f"at least {at_least:g}"] if at_least is not None else []
     limits += [f"above {above:g}"] if above is not None else []
@@ -198,7 +204,7 @@ def number(
 
 
 def _float(value: Any) -> float:
-    """NaN for what is no number, or larger than any."""
+    """Return the value as a float; NaN if it is not a real number or exceeds the float range."""
     if not isinstance(value, Real) or isinstance(value, bool):
         return math.nan
     try:
@@ -208,19 +214,25 @@ def _float(value: Any) -> float:
 
 
 def _integral(value: Any) -> Any:
-    """Whole numbers of any kind as an int; all else as it is, for pydantic to refuse."""
+    """Return a whole number of any type as an int; return any other value unchanged.
+
+    Pydantic then rejects the unchanged value if it is not a whole number.
+    """
     return int(value) if _float(value).is_integer() else value
 
 
 Whole = Annotated[int, BeforeValidator(_integral)]
-"""Of strict settings: 60, 60.0 of a file and whole numbers of numpy, but neither True nor "60"."""
+"""Integer type for the validation of strict settings.
+
+The type accepts 60, the 60.0 of a file and whole numbers of numpy, but neither True nor "60".
+"""
 
 
 def share(name: str, value: Any) -> float:
-    """A number above 0 and below 1.
+    """Return the value as a float above 0 and below 1.
 
     Raises:
-        SpecError: It is not; the message names the parameter.
+        SpecError: The value is not a number between 0 and 1; the message names the parameter.
     """
     checked = number(name, value, above=0.0)
     if checked >= 1.0:
@@ -230,10 +242,10 @@ def share(name: str, value: Any) -> float:
 
 
 def flag(name: str, value: Any) -> bool:
-    """True or False.
+    """Return the value if it is True or False.
 
     Raises:
-        SpecError: It is neither; the message names the parameter.
+        SpecError: The value is not a bool; the message names the parameter.
     """
     if not isinstance(value, bool):
         raise SpecError(f"{name} is {value!r}, but must be true or false")
@@ -241,10 +253,10 @@ def flag(name: str, value: Any) -> bool:
 
 
 def choice(name: str, value: Any, known: Sequence[str]) -> Any:
-    """One of a few words.
+    """Return the value if it is one of the known values.
 
     Raises:
-        SpecError: It is none of them; the message names the parameter.
+        SpecError: The value is not in `known`; the message names the parameter.
     """
     if value not in known:
         listed = " or ".join(repr(word) for word in known)
@@ -254,26 +266,26 @@ def choice(name: str, value: Any, known: Sequence[str]) -> Any:
 
 
 def mapping(name: str, value: Any) -> dict[str, Any]:
-    """Settings by name, as a spec has them; None is none.
+    """Return a mapping with string keys as a dict; return an empty dict for None.
 
     Raises:
-        SpecError: It is something else.
+        SpecError: The value is not a mapping with string keys.
     """
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise SpecError(
-            f"{name} is {value!r:.60}, but must be settings by name",
+            f"{name} is {value!r:.60}, but must be a mapping of names to values",
             hint=f"{name}: {{NAME: VALUE}}",
         )
     return dict(value)
 
 
 def settings(name: str, value: Any, kind: type[Settings]) -> Settings:
-    """Settings as they are, or from their dict; None gives the defaults.
+    """Return a settings object, created from a dict if necessary; return the defaults for None.
 
     Raises:
-        SpecError: They are not valid; the message names the parameter and the key.
+        SpecError: The settings are invalid; the message names the parameter and the key.
     """
     try:
         return kind.model_validate({} if value is None else value)
@@ -286,10 +298,10 @@ def settings(name: str, value: Any, kind: type[Settings]) -> Settings:
 
 
 def require_known(given: dict[str, Any], known: tuple[str, ...], of: str) -> None:
-    """Refuse unknown parameters, naming those that exist.
+    """Raise if a parameter name is unknown; the message lists the known names.
 
     Raises:
-        SpecError: A given parameter is not among the known ones.
+        SpecError: A parameter name is not among the known names.
     """
     for name in given:
         if name not in known:
@@ -300,10 +312,11 @@ def require_known(given: dict[str, Any], known: tuple[str, ...], of: str) -> Non
 
 
 def whole(name: str, value: Any, *, at_least: int, at_most: float | None = None) -> int:
-    """Return a whole number of at least and at most so much.
+    """Return the parameter value as an int within its limits.
 
     Raises:
-        SpecError: It is not; the message names the parameter.
+        SpecError: The value is not a whole number within the limits; the message names the
+            parameter.
     """
     number(name, value, at_least=at_least, at_most=at_most)
     if int(value) != value:

@@ -1,24 +1,28 @@
-"""The load of a loaded recording, identified by any fitted model of the arm without it.
+"""Payload identification from a motion, with any fitted model of the arm without the payload.
 
-A model predicts efforts from the motion and from each series' load (`payload_identified`). The load
-is what makes that prediction fit: weighted least squares over its ten inertial parameters φ in the
-flange frame, by Gauss–Newton, since friction may depend on the load (`estimate_payload`).
+A model predicts efforts from the motion and from the payload of each series (`payload_identified`).
+`estimate_payload` determines the payload for which this prediction fits the measured effort. The
+payload is computed by weighted least squares over the ten inertial parameters φ in the flange
+frame. The payload identification uses Gauss–Newton iterations, because the friction may depend on
+the payload.
 
-A rigid load is linear in its parameters, with the columns of `RobotModel.payload_regressor`. What a
-model adds to that, such as friction that grows with the torque, is found by differences: small
-point masses are added to the load, which leave it a body that can exist. Weights follow the
-residuals, and what of the model's friction was another on that day is decided on stretches of time
-that are left out in turn (`best_friction`).
+The effort of a rigid payload is linear in φ, with the columns of `RobotModel.payload_regressor`. If
+a model contains other effects of the payload, such as friction that grows with the torque, these
+effects are differentiated numerically. The numerical differences use small point masses added to
+the payload, because a payload with an added point mass is still a physically consistent body. The
+weights of the joints follow from the residuals of the joints. `best_friction` chooses by
+cross-validation over stretches of time how much of the friction model is re-estimated.
 
-Every solution is a body made of positive masses (`nearest_body`): its 4 × 4 pseudo-inertia [[Σ, h],
-[hᵀ, m]] is positive semi-definite, Σ = ½·tr(I)·1 − I (Wensing, Kim & Slotine, IEEE RA-L 2018).
+Every solution is physically consistent (`nearest_body`): its 4 × 4 pseudo-inertia [[Σ, h], [hᵀ, m]]
+is positive semi-definite, with Σ = ½·tr(I)·1 − I (Wensing, Kim & Slotine, IEEE RA-L 2018).
 
-Standard errors are those of the sandwich over blocks of time (`hil.estimators.covariance`): what
-the model does not know about the arm repeats for a while and then changes. The load is the
-difference to an arm that was itself identified, so its variance grows by the share of samples in
-which that was done; this is right for alike motions and too little for a model of poorer ones.
-`payload_halves` measures what an estimate is worth: the load of one half of a recording, tested on
-the other.
+Standard errors come from the sandwich estimator over blocks of time (`hil.estimators.covariance`),
+because errors of the arm model persist for a while and then change. The identified payload is the
+difference to an arm that was itself identified from data. The variance of the payload parameters is
+therefore multiplied by 1 plus the ratio of the samples of this fit to the samples of the arm model.
+The factor is right if the arm model and the payload were fitted to similar motions, and too small
+if the arm model was fitted to poorer motions. `payload_halves` fits the payload to one half of a
+recording and tests it on the other half.
 """
 
 from __future__ import annotations
@@ -60,21 +64,25 @@ def estimate_payload(
     friction: Friction | Literal["auto"] = "auto",
     rows: BoolArray | None = None,
 ) -> PayloadEstimate:
-    """The load under which a recording was made.
+    """Return the payload that was mounted during a recording.
 
     Args:
-        model: Fitted to recordings of the same arm whose loads are known. Its drive gains decide:
-            gains that are 5 % too large make a load 5 % too heavy.
-        dataset: Motion with one load, which need not be declared.
-        friction: What of the model's friction may be another on that day: nothing (`model`), an
-            offset per joint (`offset`), or an offset and a factor (`scale`); `auto` takes what
-            errs least on stretches of the rows that are left out in turn.
-        rows: (N,) rows to fit to, all by default. The model sees all of the motion.
+        model: Model fitted to recordings of the same arm with known payloads. Errors of the drive
+            gains of the model scale the identified payload: gains that are 5 % too large make a
+            payload 5 % too heavy.
+        dataset: Motion with one payload, which need not be declared.
+        friction: Friction parameters to re-estimate: no parameter (`model`), an offset per joint
+            (`offset`), or an offset and a factor per joint (`scale`). The value `auto` chooses the
+            treatment with the smallest cross-validation error over stretches of the rows.
+        rows: (N,) mask of the rows used in the fit; all rows if None. The effort of the whole
+            motion is predicted, regardless of `rows`.
 
     Raises:
-        FitError: The recording does not tell: too few rows, no motion, or no load.
-        DataError: It is of another robot or unit than the model, or of several loads.
-        SpecError: There is no such way to treat friction.
+        FitError: The recording does not determine a payload, because there are too few rows, no
+            motion, or no payload.
+        DataError: Robot or unit of the recording differ from those of the model, or the recording
+            contains several payloads.
+        SpecError: The name of the friction treatment is unknown.
     """
     require_friction(friction)
     require_one_load(dataset)
@@ -87,10 +95,10 @@ def estimate_payload(
 
 
 def require_friction(friction: str) -> None:
-    """Refuse what is no way to treat friction.
+    """Raise if the friction treatment is unknown.
 
     Raises:
-        SpecError: It is none.
+        SpecError: The friction treatment is neither `auto` nor a value of `Friction`.
     """
     known = ("auto", *get_args(Friction))
     if friction not in known:
@@ -98,25 +106,25 @@ def require_friction(friction: str) -> None:
 
 
 def require_one_load(dataset: Dataset) -> None:
-    """Refuse recordings made with several loads.
+    """Raise if the recordings were made with several payloads.
 
     Raises:
-        DataError: They were.
+        DataError: The series declare more than one payload.
     """
     loads = {(condition.load, condition.payload) for condition in dataset.conditions}
     if len(loads) > 1:
         masses = ", ".join(f"{load.mass:g}" for _, load in sorted(loads, key=lambda one: one[0]))
         raise DataError(
-            f"the recordings were made with {len(loads)} loads ({masses} kg declared)",
-            hint="give recordings of one load at a time; in Python, a part of the dataset",
+            f"the recordings declare {len(loads)} different payloads ({masses} kg)",
+            hint="pass only recordings with the same payload; in Python, a part of the dataset",
         )
 
 
 def _chosen(widest: LoadProblem) -> tuple[LoadProblem, Solution]:
-    """The problem with what of the friction is best freed, and its solution.
+    """Return the identification problem with the best friction treatment, and its solution.
 
     Args:
-        widest: The problem with everything freed that can be.
+        widest: Problem in which all friction corrections are free.
     """
     found = _settled(widest)
     sigma = np.maximum(rms(_residual(widest, found.at, found.step.extra)), 1e-9)
@@ -129,24 +137,28 @@ def _chosen(widest: LoadProblem) -> tuple[LoadProblem, Solution]:
 
 
 MOST_STEPS = 48
-"""Weights follow the residuals; where wrong gains leave much of these, that settles slowly."""
+"""Maximum number of Gauss–Newton steps.
+
+The weights of the joints follow from the residuals; this iteration converges slowly if wrong drive
+gains dominate the residuals.
+"""
 
 FRESH = 5
-"""Steps between Jacobians: they hardly change once the load is roughly known."""
+"""Number of steps between evaluations of the Jacobian, which hardly changes near the end."""
 
 SMALL_STEP = 1e-3
-"""Settled when no prediction changes by more than this share of its joint's residual."""
+"""Convergence limit: largest RMS change of a joint's prediction, as a share of its residual."""
 
 
 class Solution(NamedTuple):
-    """Where the steps ended, and the linearised prediction there."""
+    """Last step of the iteration, with the prediction linearised at this step."""
 
     step: Step
     at: Linearised
 
 
 def _settled(problem: LoadProblem, start: FloatArray | None = None) -> Solution:
-    """Step by step from a load (10,), or from nothing."""
+    """Return the converged solution, starting from a payload (10,) or from no payload."""
     least = 1e-9 + 1e-9 * float(np.max(np.abs(problem.target)))
     columns, J = problem.columns(problem.bare), problem.rigid
     if start is None:
@@ -166,7 +178,7 @@ def _settled(problem: LoadProblem, start: FloatArray | None = None) -> Solution:
         if np.all(rms(change) <= SMALL_STEP * sigma) and count:
             return Solution(now, at._replace(effort=at.effort + change))
     raise FitError(
-        "the load did not settle: the recording hardly tells it",
+        "the payload estimate did not converge: the recording hardly determines the payload",
         hint="record a motion that turns the wrist as well as the arm",
     )
 
@@ -176,7 +188,7 @@ def _residual(problem: LoadProblem, at: Linearised, extra: FloatArray) -> FloatA
 
 
 def rms(values: FloatArray) -> FloatArray:
-    """Root mean square (n,) of values (N, n)."""
+    """Return (n,) the root mean square of each column of values (N, n)."""
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
@@ -184,7 +196,7 @@ def _estimate(problem: LoadProblem, found: Solution) -> PayloadEstimate:
     residual = _residual(problem, found.at, found.step.extra)
     blocks = time_blocks(residual, problem.kept.offsets)
     spread = _covariance(found.at, residual, blocks)
-    # A load is a difference: the arm without it was measured with errors of the same kind.
+    # The payload is a difference to the arm model, which has errors of the same kind.
     both = 1.0 + len(residual) / max(problem.model.samples_, 1)
     G = central_jacobian(found.step.parameters)
     covariance = both * G @ spread.covariance[:LOAD, :LOAD] @ G.T
@@ -211,21 +223,22 @@ def _estimate(problem: LoadProblem, found: Solution) -> PayloadEstimate:
 
 
 def _covariance(at: Linearised, residual: FloatArray, blocks: IntArray) -> Clustered:
-    """Of the load's parameters, then of the correction's coefficients."""
+    """Return the covariance of the payload parameters, followed by the correction coefficients."""
     X = np.hstack([at.load, at.friction])
     weight = np.tile(1.0 / np.maximum(rms(residual), 1e-12) ** 2, len(residual))
     sums = ClusterSums.of(X, residual.ravel(), weight, np.repeat(blocks, residual.shape[1]))
     gram = sums.gram.sum(axis=0)
-    # Parameters of a load differ by powers of ten; scaled, the inverse is safe.
+    # Payload parameters differ by powers of ten, so the matrix is scaled before the inversion.
     length = np.sqrt(np.diag(gram))
     scale = np.outer(length, length)
     return clustered_covariance(np.linalg.inv(gram / scale) / scale, sums, "CR2")
 
 
 def _by_gain(found: Solution, residual: FloatArray) -> FloatArray:
-    """(10, n) by how much the parameters fall short per share that a joint's gain is larger.
+    """Return (10, n) the sensitivity of each payload parameter to the drive gain of each joint.
 
-    The true effort of the load is then less by that share, at that joint alone.
+    If the true gain of a joint exceeds the gain in the model by a share s, the estimated parameter
+    is too small by s times this sensitivity.
     """
     n = residual.shape[1]
     weight = 1.0 / np.maximum(rms(residual), 1e-12)
@@ -248,23 +261,26 @@ def _values(parameters: FloatArray) -> FloatArray:
 
 
 def true_values(payload: Payload) -> FloatArray:
-    """(10,) of a known load, in the order of `PayloadEstimate.values`."""
+    """Return (10,) the parameters of a known payload, in the order of `PayloadEstimate.values`."""
     return _values(payload_parameters(payload))
 
 
 GAP_S = 0.5
-"""Rows so close to the cut are not fitted to: the filter of the effort sees across it."""
+"""Time from the cut between two halves within which rows are not fitted [s].
+
+The effort filter mixes samples of both halves within this time.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HalfTested:
-    """An estimate and its errors on the half it did not see, against the effort as measured.
+    """Payload identified from one half of a recording, with its errors on the other half.
 
     Attributes:
-        fitted: `first` or `second`, the half the load was fitted to.
-        estimate: The load.
-        rmse_raw: (n,) with the load.
-        rmse_ignored: (n,) with nothing at the flange.
+        fitted: Half to which the payload was fitted: `first` or `second`.
+        estimate: Identified payload.
+        rmse_raw: (n,) RMS error of the unfiltered effort, predicted with the payload.
+        rmse_ignored: (n,) RMS error of the unfiltered effort, predicted without any payload.
     """
 
     fitted: str
@@ -274,22 +290,22 @@ class HalfTested:
 
     @property
     def mean_raw(self) -> float:
-        """Mean over the joints."""
+        """Mean of `rmse_raw` over the joints."""
         return float(np.mean(self.rmse_raw))
 
 
 def payload_halves(
     model: RobotEstimator, dataset: Dataset, *, friction: Friction | Literal["auto"] = "auto"
 ) -> tuple[HalfTested, HalfTested]:
-    """Fit the load to each half of every series, test it on the other.
+    """Fit the payload to each half of every series, and test it on the other half.
 
-    The model sees the motion of the whole, as its memory of friction needs; the effort of the half
-    tested, and of the rows next to the cut, is not looked at.
+    The effort of the whole series is predicted, because the friction memory of a model needs the
+    history. The fit uses neither the effort of the tested half nor the effort near the cut.
 
     Args:
-        model: Fitted without the recording.
-        dataset: Loaded recording, as measured (not yet filtered).
-        friction: As in `estimate_payload`.
+        model: Model that was fitted to other recordings than this recording.
+        dataset: Unfiltered recording with a payload.
+        friction: Friction treatment, as in `estimate_payload`.
     """
     first, near = halves(dataset)
     return (
@@ -299,7 +315,7 @@ def payload_halves(
 
 
 def halves(dataset: Dataset) -> tuple[BoolArray, BoolArray]:
-    """(N,) which rows are in the first half of their series, and which are near the cut."""
+    """Return two masks (N,): rows in the first half of their series, and rows near the cut."""
     first, near = np.zeros(len(dataset), dtype=bool), np.zeros(len(dataset), dtype=bool)
     for _, rows in dataset.slices():
         middle = (rows.start + rows.stop) // 2
@@ -334,29 +350,29 @@ UNITS = ("kg", *3 * ("m",), *6 * ("kg·m²",))
 LEVEL = 0.95
 
 MASS_SHARE = 0.05
-"""A mass is well determined when its 95 % interval reaches no further than this share of it."""
+"""Maximum half width of the 95 % interval of a well-determined mass, as a share of the mass."""
 
 COM_REACH_M = 0.01
-"""A coordinate of the centre of mass is when its interval reaches no further than this."""
+"""Maximum half width of the interval of a well-determined centre-of-mass coordinate [m]."""
 
 INERTIA_SHARE = 0.25
-"""An inertia is when its interval reaches no further than this share of the largest one."""
+"""Maximum half width of a well-determined inertia's interval, as a share of the largest one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """By how much friction was another on the day of the load than the model has it.
+    """Difference between the friction in a recording and the friction in the arm model.
 
     Attributes:
-        offset: (n,) constant to be added [A or N·m].
-        scale: (n,) share of the model's friction to be added.
+        offset: (n,) constant to be added to the prediction [A or N·m].
+        scale: (n,) share of the friction in the model that is to be added to the prediction.
     """
 
     offset: FloatArray
     scale: FloatArray
 
     def of(self, prediction: Prediction) -> FloatArray:
-        """(N, n) what is to be added to a prediction."""
+        """Return (N, n) the correction to be added to a prediction."""
         zero = np.zeros_like(prediction.effort)
         friction = prediction.components.get("friction", zero) if np.any(self.scale) else zero
         added: FloatArray = self.offset + self.scale * friction
@@ -365,38 +381,45 @@ class Correction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PayloadEstimate:
-    """A load identified from motion.
+    """Payload identified from a motion or from static poses.
 
-    Values are in the order of `NAMES`: mass, centre of mass in the flange frame, inertia about the
-    centre of mass along the flange's axes.
+    The identified values are in the order of `NAMES`: mass, centre of mass in the flange frame,
+    inertia about the centre of mass in flange axes.
 
     Attributes:
-        payload: The load: always one that positive masses can make. Of an arm at rest a point mass,
-            coordinates that do not show being 0; nothing where no load shows.
-        values: (10,) the same as numbers; NaN for what does not show at rest.
-        std_error: (10,) standard errors, given the form of the model and its drive gains; at rest
-            with the errors of both.
-        interval: (10, 2) 95 % intervals of Student's t by blocks of time.
-        covariance: (10, 10) of the values, whose diagonal `std_error` squares.
-        degrees: (10,) of Student's t.
-        by_gain: (10, n) by how much a value is too small for each share by which the true gain of a
-            joint's drive is above the model's, had the arm's own torques been learned with it; the
-            errors above know nothing of gains.
-        residual: (n,) RMS of the filtered effort less the prediction with the load.
-        without: (n,) the same with nothing at the flange.
-        unit: `A` or `N·m`, of the residuals.
-        joint_names: Length n.
-        friction: What of the model's friction was freed: `model` (nothing), `offset`, `scale`; or
-            `rest`, where two approaches cancel it.
-        correction: By how much, zeros where it was not.
-        samples: Rows used; at rest, poses.
-        blocks: Blocks of time that counted as independent; at rest, poses.
-        bounded: Whether the recording alone would have had a body that cannot be; the errors are
-            those without that knowledge.
-        gain_share: Standard deviation of a drive gain that the errors know of, as a share of it.
-        other_arm: What speaks against believing it at all: the recording is of another individual
-            than the model.
-        notes: For people.
+        payload: Identified payload, always physically consistent. For static poses, the payload is
+            a point mass whose unobservable coordinates are 0, or an empty payload if no mass is
+            detected.
+        values: (10,) identified parameters; NaN for parameters that static poses do not determine.
+        std_error: (10,) standard errors which assume that the form of the model and its drive gains
+            are right. For static poses, the standard errors include the errors of the model and of
+            the drive gains.
+        interval: (10, 2) limits of the 95 % confidence intervals from Student's t distribution over
+            blocks of time.
+        covariance: (10, 10) covariance of the values; its diagonal contains the squares of
+            `std_error`.
+        degrees: (10,) degrees of freedom of Student's t distribution for each value.
+        by_gain: (10, n) sensitivity of each value to each drive gain. If the true drive gain of a
+            joint exceeds the gain in the model by a share s, a value is too small by s times its
+            sensitivity. The sensitivity is valid if the torques of the arm were fitted with the
+            same drive gain. `std_error` does not include drive-gain errors.
+        residual: (n,) RMS of the filtered effort minus the prediction that includes the payload.
+        without: (n,) RMS of the filtered effort minus the prediction that excludes the payload.
+        unit: Unit of the residuals, `A` or `N·m`.
+        joint_names: Names of the n joints.
+        friction: Friction correction that was estimated: `model` (no correction), `offset` or
+            `scale`. The value `rest` denotes static poses, at which the mean of two approach
+            directions cancels the friction.
+        correction: Friction correction that was estimated; zeros if the friction was not corrected.
+        samples: Number of rows that the fit used; for static poses, the number of poses.
+        blocks: Number of independent blocks of time; for static poses, the number of poses.
+        bounded: Whether the unconstrained solution would be physically inconsistent. The standard
+            errors ignore the constraint of physical consistency.
+        gain_share: Standard deviation of a drive gain that is included in the standard errors, as a
+            share of the gain.
+        other_arm: Warning that the recording is of a different individual robot than the model. The
+            text `other_arm` is empty if there is no reason for this warning.
+        notes: List of notes for the user.
     """
 
     payload: Payload
@@ -424,7 +447,7 @@ class PayloadEstimate:
         return f"<PayloadEstimate {self.values[0]:.3g} kg ({low:.3g} … {high:.3g})>"
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook: a row per parameter that shows."""
+        """Return the payload as an HTML table for a notebook, one row per determined parameter."""
         rows = [
             (one["name"], number(one["value"]), number(one["std_error"]),
              " … ".join(map(number, one["interval_95"])), "yes" if one["determined"] else "no")
@@ -432,16 +455,19 @@ class PayloadEstimate:
             if one["value"] is not None
         ]  # fmt: skip
         head = ("parameter", "value", "± std", "95 % interval", "well determined")
-        warned = [f"Not to be relied on: {self.other_arm}"] if self.other_arm else []
+        warned = [f"Unreliable: {self.other_arm}"] if self.other_arm else []
         facts = {"samples": self.samples, "independent": self.blocks, "friction": self.friction}
         notes = [*warned, *self.notes]
         return card("Load", f"{self.values[0]:.3g} kg", facts, table=(head, rows), notes=notes)
 
     def with_gains(self, share: float) -> PayloadEstimate:
-        """The same with errors that know of the gains, independent from joint to joint.
+        """Return the payload estimate with standard errors that include drive-gain errors.
+
+        The drive-gain errors are assumed to be independent between joints.
 
         Args:
-            share: Standard deviation of a drive gain [share of it]. Torques have no gains.
+            share: Standard deviation of a drive gain, as a share of the gain. Because torque data
+                have no drive gains, `share` is not used for torques.
         """
         gains = share if self.unit == "A" else 0.0
         covariance = self.covariance + gains**2 * self.by_gain @ self.by_gain.T
@@ -453,7 +479,7 @@ class PayloadEstimate:
 
     @property
     def determined(self) -> dict[str, bool]:
-        """Which of the ten the recording tells well, by name."""
+        """Whether the recording determines each of the ten values well, by value name."""
         reach = (self.interval[:, 1] - self.interval[:, 0]) / 2
         largest = float(np.max(np.abs(self.values[4:7]), initial=0.0))
         limit = np.array(
@@ -462,7 +488,7 @@ class PayloadEstimate:
         return dict(zip(NAMES, (reach <= limit).tolist(), strict=True))
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil payload --json`."""
+        """Return the payload estimate in the format of `hil payload --json`."""
         rows = zip(NAMES, UNITS, self.values, self.std_error, self.interval, strict=True)
         known = self.determined
         return {
@@ -502,32 +528,36 @@ def _numbers(values: FloatArray) -> list[float | None]:
 
 
 def _number(value: float) -> float | None:
-    """JSON has no NaN."""
+    """Return a finite value as a float, and None otherwise, because JSON has no NaN."""
     return float(value) if np.isfinite(value) else None
 
 
 PROBE = 1e-3
-"""Point masses of the differences, as a share of the load's mass."""
+"""Mass of the point masses for numerical differences, as a share of the payload mass."""
 
 ROUNDING = 1e-9
-"""Effort beyond a rigid load's that all probes together have to make, or there is none."""
+"""Effort difference up to which the model treats a payload as purely rigid.
+
+The effort limit applies to the difference between the predicted effort and the rigid effort of all
+point masses together.
+"""
 
 LEAST_ROWS = 200
 
 
 def with_identified(dataset: Dataset, payload: Payload) -> Dataset:
-    """The same samples, with this load instead of the declared one."""
+    """Return the same samples with a payload as the identified payload of every series."""
     conditions = tuple(replace(c, payload_identified=payload) for c in dataset.conditions)
     return replace(dataset, conditions=conditions)
 
 
 class Linearised(NamedTuple):
-    """A prediction and its derivatives at the rows that count.
+    """Predicted effort and its derivatives at the rows used in the fit.
 
     Attributes:
-        effort: (M, n) predicted.
-        load: (M·n, 10) derivative by the load's parameters.
-        friction: (M·n, k) columns of the correction.
+        effort: (M, n) predicted effort.
+        load: (M·n, 10) derivatives of the effort with respect to the payload parameters.
+        friction: (M·n, k) columns of the friction correction.
     """
 
     effort: FloatArray
@@ -537,16 +567,17 @@ class Linearised(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadProblem:
-    """What does not change from step to step.
+    """Data of a payload identification that stay constant during the iterations.
 
     Attributes:
-        model: The model of the arm.
-        data: Filtered, every row.
-        keep: (N,) rows that count.
-        kept: The rows that count.
-        bare: Their prediction with nothing mounted.
-        rigid: (M·n, 10) derivative of the effort by a rigid load alone.
-        friction: See `hil.estimators.payload.estimate_payload`.
+        model: Model of the arm.
+        data: Filtered dataset with all N rows.
+        keep: (N,) mask of the M rows used in the fit.
+        kept: Filtered dataset with the M rows used in the fit.
+        bare: Predicted effort of these M rows without payload.
+        rigid: (M·n, 10) derivatives of the effort with respect to the parameters of a rigid
+            payload.
+        friction: Friction treatment, as in `hil.estimators.payload.estimate_payload`.
     """
 
     model: RobotEstimator
@@ -561,11 +592,18 @@ class LoadProblem:
     def of(
         model: RobotEstimator, dataset: Dataset, friction: Friction, rows: BoolArray | None
     ) -> LoadProblem:
-        """Filter a recording as the model was fitted, and take the rows (N,) that count.
+        """Return the problem of a recording, filtered like the training data of the model.
+
+        Args:
+            model: Fitted model of the arm.
+            dataset: Recording of a motion with the payload.
+            friction: Friction treatment, as in `hil.estimators.payload.estimate_payload`.
+            rows: (N,) mask of the rows to use; all rows if None. Rows without a valid prediction
+                are never used.
 
         Raises:
-            FitError: They are too few.
-            DataError: The recording is not for this model.
+            FitError: Fewer than `LEAST_ROWS` rows can be used.
+            DataError: Robot or unit of the recording differ from those of the model.
         """
         data = _filtered(model, dataset)
         bare = model.predict(with_identified(data, Payload()))
@@ -575,8 +613,9 @@ class LoadProblem:
         kept = rows_of(data, keep)
         if len(kept) < LEAST_ROWS:
             raise FitError(
-                f"{len(kept)} rows are too few to tell a load: at least {LEAST_ROWS} are needed",
-                hint="record the arm with the load on a motion of some seconds",
+                f"{len(kept)} rows are too few to identify a payload: at least {LEAST_ROWS} are "
+                "needed",
+                hint="record a motion of several seconds with the payload mounted",
             )
         W = model.robot_.payload_regressor(*(kept[name] for name in MOTION))
         rigid = W / np.tile(model.torque_scale_, len(kept))[:, None]
@@ -584,16 +623,16 @@ class LoadProblem:
 
     @property
     def target(self) -> FloatArray:
-        """(M, n) measured effort, filtered."""
+        """Measured and filtered effort (M, n) of the rows used in the fit."""
         return self.kept["effort_f"]
 
     def predict(self, parameters: FloatArray) -> Prediction:
-        """Of the rows that count, under a load (10,)."""
+        """Return the predicted effort of the rows used in the fit, for payload parameters (10,)."""
         load = payload_of(parameters)
         return _only(self.model.predict(with_identified(self.data, load)), self.keep)
 
     def columns(self, prediction: Prediction) -> FloatArray:
-        """(M·n, k) of the correction of friction."""
+        """Return (M·n, k) the regressor columns of the friction correction."""
         terms = {"offset": np.ones_like(prediction.effort)}
         if self.friction == "scale" and "friction" in prediction.components:
             terms["scale"] = prediction.components["friction"]
@@ -602,9 +641,11 @@ class LoadProblem:
         return joint_columns(terms)
 
     def jacobian(self, parameters: FloatArray, here: Prediction) -> FloatArray:
-        """(M·n, 10) derivative at a load, all that the model adds to a rigid one included.
+        """Return (M·n, 10) the derivatives of the effort with respect to the payload parameters.
 
-        Eleven predictions where it adds something, one where it does not.
+        The derivatives of the effort include effects of the model beyond a rigid payload, such as
+        payload-dependent friction. The computation of the derivatives takes eleven predictions if
+        the model has payload effects beyond a rigid payload, and one prediction if not.
         """
         probes = point_masses(PROBE * float(parameters[0]), LENGTH_M)
         together = self._beyond_rigid(here, parameters, probes.sum(axis=0))
@@ -617,7 +658,7 @@ class LoadProblem:
     def _beyond_rigid(
         self, here: Prediction, parameters: FloatArray, added: FloatArray
     ) -> FloatArray:
-        """(M·n,) by how much a prediction changes more than the torque of a rigid load."""
+        """Return (M·n,) the effort change beyond the effort of a rigid added payload."""
         change = self.predict(parameters + added).effort - here.effort
         left: FloatArray = change.ravel() - self.rigid @ added
         return left
@@ -640,16 +681,16 @@ def _only(prediction: Prediction, keep: BoolArray) -> Prediction:
 
 
 LOAD = 10
-"""Inertial parameters of a load."""
+"""Number of inertial parameters of a payload."""
 
 
 class Step(NamedTuple):
-    """Where a step leads.
+    """Result of one Gauss–Newton step of the payload fit.
 
     Attributes:
-        parameters: (10,) of the load.
-        extra: (k,) coefficients of the correction.
-        bounded: Whether least squares alone would leave what bodies can be.
+        parameters: (10,) payload parameters.
+        extra: (k,) coefficients of the friction correction.
+        bounded: Whether the unconstrained least-squares solution is physically inconsistent.
     """
 
     parameters: FloatArray
@@ -660,29 +701,29 @@ class Step(NamedTuple):
 def best_load(
     at: Linearised, parameters: FloatArray, target: FloatArray, sigma: FloatArray
 ) -> Step:
-    """Load and correction that fit a linearised prediction best.
+    """Return the payload and friction correction that fit best to a linearised prediction.
 
     Args:
-        at: Linearised at `parameters` (10,).
-        parameters: Where.
-        target: (M, n) measured.
-        sigma: (n,) standard deviations that weight the joints.
+        at: Prediction that was linearised at `parameters`.
+        parameters: (10,) payload parameters at which the prediction was linearised.
+        target: (M, n) measured effort.
+        sigma: (n,) standard deviations with which the joints are weighted.
 
     Raises:
-        FitError: The motion does not show every parameter.
+        FitError: The motion does not determine all ten parameters.
     """
     return _solved(upper_triangle(_weighted(at, parameters, target, sigma)))
 
 
 def _solved(R: FloatArray) -> Step:
-    """Of the triangle of `_weighted`."""
+    """Return the Gauss–Newton step for the triangular factor of the output of `_weighted`."""
     k = R.shape[1] - LOAD - 1
     factor, wanted = R[k : k + LOAD, k : k + LOAD], R[k : k + LOAD, -1]
     length = np.linalg.norm(factor, axis=0)
     if np.any(length == 0) or np.linalg.cond(factor / length) > 1e7:
         raise FitError(
-            "the motion does not tell all ten parameters of a load",
-            hint="record a motion in which every joint turns, the wrist's too",
+            "the motion does not determine all ten parameters of a payload",
+            hint="record a motion in which every joint turns, including the wrist joints",
         )
     found = nearest_body(factor, wanted)
     free = np.asarray(np.linalg.solve(factor, wanted))
@@ -693,29 +734,37 @@ def _solved(R: FloatArray) -> Step:
 def _weighted(
     at: Linearised, parameters: FloatArray, target: FloatArray, sigma: FloatArray
 ) -> FloatArray:
-    """(M·n, k + 11) columns of friction, load and target, in standard deviations."""
+    """Return (M·n, k + 11) the weighted columns of friction correction, payload and target.
+
+    Each row is divided by the standard deviation of its joint.
+    """
     wanted = (target - at.effort).ravel() + at.load @ parameters
     weight = np.tile(1.0 / sigma, len(target))[:, None]
     return np.column_stack([at.friction, at.load, wanted]) * weight
 
 
 FOLDS = 5
-"""Stretches of every series that are left out in turn to choose."""
+"""Number of time stretches per series in the cross-validation of the friction treatment."""
 
 LEAST_GAIN = 0.01
-"""What freeing more has to take off the error left out, as a share of its square."""
+"""Minimum reduction of the squared cross-validation error that justifies more free parameters.
+
+The minimum reduction is a share of the squared error.
+"""
 
 
 def best_friction(
     at: Linearised, parameters: FloatArray, target: FloatArray, sigma: FloatArray, offsets: IntArray
 ) -> Friction:
-    """What of the friction to free, by the error on stretches of time that are left out in turn.
+    """Return the friction treatment with the smallest cross-validation error over time.
+
+    Each of the `FOLDS` stretches of every series is predicted from all other stretches.
 
     Args:
-        at: With the columns of everything that can be freed; the others as for `step`.
-        parameters: Where.
-        target: (M, n) measured.
-        sigma: (n,) standard deviations that weight the joints.
+        at: Linearised prediction with the columns of all friction corrections.
+        parameters: (10,) payload parameters at which the prediction was linearised.
+        target: (M, n) measured effort.
+        sigma: (n,) standard deviations with which the joints are weighted.
         offsets: (S + 1,) row at which each series begins.
     """
     n = target.shape[1]
@@ -736,7 +785,7 @@ def best_friction(
 
 
 def _left_out(triangles: list[FloatArray], columns: list[int]) -> float:
-    """Sum of squares of every triangle's rows by the solution to all others."""
+    """Return the sum of squared errors of every stretch, predicted from all other stretches."""
     total = 0.0
     for fold, own in enumerate(triangles):
         others = np.vstack([R for number, R in enumerate(triangles) if number != fold])
@@ -747,29 +796,31 @@ def _left_out(triangles: list[FloatArray], columns: list[int]) -> float:
 
 
 def _stretches(offsets: IntArray) -> IntArray:
-    """(M,) number of the stretch each row is in."""
+    """Return (M,) the index of the stretch to which each row belongs."""
     lengths = np.diff(offsets).tolist()
     return np.concatenate([np.arange(rows) * FOLDS // max(rows, 1) for rows in lengths])
 
 
 LENGTH_M = 0.1
-"""What a load's dimensions are counted in, so that its numbers are alike in size."""
+"""Length unit that scales the payload parameters to similar magnitudes [m]."""
 
 THINNEST_KGM2 = 1e-7
-"""Least second moment in every direction: a body is no point, and rounding must not make it less
-than one."""
+"""Minimum second moment of mass of a fitted payload in every direction [kg·m²].
+
+The minimum excludes a point mass, which rounding could make physically inconsistent.
+"""
 
 LIGHTEST_KG = 1e-4
-"""Nothing has no centre of mass, so a fit does not get to nothing."""
+"""Minimum mass of a fitted payload [kg]; without mass, the centre of mass is undefined."""
 
 SMALLEST_GAP = 1e-6
-"""How near a sum of squares comes to its minimum, as a share of itself."""
+"""Maximum excess of the sum of squares over its minimum, as a share of the sum of squares."""
 
 MOST_NEWTON = 30
 
 
 def payload_of(parameters: FloatArray) -> Payload:
-    """The load with these parameters; its mass must be above 0."""
+    """Return the payload with these parameters (10,); the mass must be above 0."""
     m, c, I = central(parameters)  # noqa: E741
     x, y, z = (float(value) for value in c)
     xx, yy, zz, xy, xz, yz = (float(value) for value in I)
@@ -777,7 +828,10 @@ def payload_of(parameters: FloatArray) -> Payload:
 
 
 def central(parameters: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Mass, centre of mass (3,) and Ixx Iyy Izz Ixy Ixz Iyz (6,) about it."""
+    """Return mass, centre of mass (3,), and inertia (6,): Ixx Iyy Izz Ixy Ixz Iyz.
+
+    The inertia is about the centre of mass.
+    """
     m = float(parameters[0])
     c = parameters[1:4] / m
     xx, xy, yy, xz, yz, zz = parameters[4:]
@@ -788,7 +842,11 @@ def central(parameters: FloatArray) -> tuple[float, FloatArray, FloatArray]:
 
 
 def central_jacobian(parameters: FloatArray) -> FloatArray:
-    """(10, 10) how m, cx, cy, cz, Ixx Iyy Izz Ixy Ixz Iyz (central) follow the parameters."""
+    """Return the (10, 10) derivatives of the central values with respect to the parameters.
+
+    The central values are the mass, the centre of mass, and Ixx Iyy Izz Ixy Ixz Iyz about the
+    centre of mass.
+    """
     m, c = float(parameters[0]), parameters[1:4] / float(parameters[0])
     out = np.zeros((10, 10))
     out[0, 0] = 1.0
@@ -803,7 +861,7 @@ def central_jacobian(parameters: FloatArray) -> FloatArray:
 
 
 def _gradient(c: FloatArray, i: int, j: int) -> FloatArray:
-    """(10,) of hᵢ·hⱼ/m."""
+    """Return (10,) the gradient of hᵢ·hⱼ/m with respect to the parameters."""
     row = np.zeros(10)
     row[1 + i] += c[j]
     row[1 + j] += c[i]
@@ -812,9 +870,10 @@ def _gradient(c: FloatArray, i: int, j: int) -> FloatArray:
 
 
 def point_masses(mass: float, reach: float) -> FloatArray:
-    """(10, 10) rows of parameters of ten point masses that together span all loads.
+    """Return (10, 10) the parameters of ten point masses, one mass per row, that span all payloads.
 
-    Added to a body they leave it one, which a step along a single parameter need not.
+    A physically consistent body stays consistent if one of these point masses is added. A step
+    along a single parameter does not guarantee a consistent body.
     """
     e = reach * np.eye(3)
     places = [np.zeros(3), *e, *-e, e[0] + e[1], e[0] + e[2], e[1] + e[2]]
@@ -822,7 +881,7 @@ def point_masses(mass: float, reach: float) -> FloatArray:
 
 
 def is_body(parameters: FloatArray) -> bool:
-    """Whether positive masses could have these parameters."""
+    """Return whether the payload parameters (10,) are physically consistent."""
     return bool(np.linalg.eigvalsh(_above_floor(parameters))[0] >= 0.0)
 
 
@@ -842,18 +901,19 @@ _SCALED_FLOOR = _scaled(_FLOOR)
 
 
 def _above_floor(parameters: FloatArray) -> FloatArray:
-    """(4, 4) what has to be positive definite, lengths in `LENGTH_M`."""
+    """Return the (4, 4) scaled matrix that must be positive definite; lengths are in `LENGTH_M`."""
     above: FloatArray = np.tensordot(parameters, _UNITS, 1) - _SCALED_FLOOR
     return above
 
 
 def nearest_body(X: FloatArray, y: FloatArray) -> FloatArray:
-    """(10,) parameters of the body that minimises ‖X·parameters − y‖², X (m, 10) of full rank.
+    """Return the physically consistent parameters (10,) that minimise ‖X·parameters − y‖².
 
-    Newton's method with a barrier −μ·log det of what the pseudo-inertia is above its floor; the
-    sum of squares is within 4μ of its minimum (Boyd & Vandenberghe, Convex Optimization, §11.2).
-    As a least-squares problem in a factor of the pseudo-inertia, which is singular at the solution,
-    `scipy.optimize.least_squares` has not converged after 500 evaluations.
+    X (m, 10) must have full rank. The minimum is computed by Newton's method with a barrier −μ·log
+    det of the pseudo-inertia minus its lower bound; the sum of squares is within 4μ of its minimum
+    (Boyd & Vandenberghe, Convex Optimization, §11.2). An alternative with
+    `scipy.optimize.least_squares` over a matrix factor of the pseudo-inertia did not converge in
+    500 evaluations, because the factor is singular at the solution.
     """
     free = np.asarray(np.linalg.lstsq(X, y, rcond=None)[0])
     if is_body(free):
@@ -865,7 +925,7 @@ def nearest_body(X: FloatArray, y: FloatArray) -> FloatArray:
         return least + float((phi - free) @ gram @ (phi - free))
 
     mu = (squares() - least) / 4
-    # A start far away must not count: the gap is a share of what the sum of squares is now.
+    # The gap is a share of the current sum of squares, so that a distant start has no influence.
     while mu > SMALLEST_GAP * squares() / 4:
         for _ in range(MOST_NEWTON):
             step, decrement = _newton(phi, free, gram, mu)
@@ -877,7 +937,7 @@ def nearest_body(X: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _inside(parameters: FloatArray) -> FloatArray:
-    """(10,) a body near the parameters, well inside what can be."""
+    """Return the parameters (10,) of a strictly consistent body near the passed parameters."""
     values, vectors = np.linalg.eigh(_scaled(pseudo_inertia(parameters)))
     least = max(1e-2 * float(values[-1]), 1e-3)
     near = (vectors * np.maximum(values, least)) @ vectors.T
@@ -887,19 +947,22 @@ def _inside(parameters: FloatArray) -> FloatArray:
 def _newton(
     phi: FloatArray, free: FloatArray, gram: FloatArray, mu: float
 ) -> tuple[FloatArray, float]:
-    """The step, and half its decrement squared, of (φ − free)ᵀ·gram·(φ − free) − μ·log det."""
+    """Return the Newton step and half its squared decrement.
+
+    The function minimised by the Newton step is (φ − free)ᵀ·gram·(φ − free) − μ·log det.
+    """
     inverse = np.linalg.inv(_above_floor(phi))
     slopes = np.einsum("ij,kjl->kil", inverse, _UNITS)
     gradient = 2.0 * gram @ (phi - free) - mu * np.einsum("kii->k", slopes)
     hessian = 2.0 * gram + mu * np.einsum("kij,lji->kl", slopes, slopes)
     scale = 1.0 / np.sqrt(np.diag(hessian))
-    # Parameters of a load differ by powers of ten.
+    # Payload parameters differ by powers of ten.
     step = -scale * np.linalg.solve(hessian * np.outer(scale, scale), scale * gradient)
     return step, float(-gradient @ step) / 2.0
 
 
 def _longest(phi: FloatArray, step: FloatArray) -> float:
-    """Share of a step, 1 at most, that stays well inside."""
+    """Return the largest share of a step, at most 1, that keeps the body strictly consistent."""
     L = np.linalg.cholesky(_above_floor(phi))
     change = np.linalg.solve(L, np.linalg.solve(L, np.tensordot(step, _UNITS, 1)).T)
     lowest = float(np.linalg.eigvalsh(change)[0])

@@ -1,13 +1,16 @@
-"""The load at the flange of an arm that holds a few poses, like a pair of scales, in seconds.
+"""Payload identification from static poses: mass and centre of mass.
 
-At rest a load shows its mass m and first moment m·c alone, linearly (`static_columns`); its inertia
-does not show. A program's dwells are put together pose by pose (`RestReadings`): the mean of the
-two approaches is free of most friction, and half their difference is the friction. What is left
-over by the model of the bare arm is explained by the four numbers (`RestProblem`), by generalised
-least squares over errors of known kinds: drive gains, which err by the same share at every pose;
-the model's gravity, likewise; a constant per joint; and what of the friction does not cancel
-between two approaches, pose by pose. With a recording of the bare flange at the same poses the
-model's own errors cancel, and only differences count.
+In a static pose, the torques of a payload are linear in its mass m and first moment m·c
+(`static_columns`), and independent of its inertia. `RestReadings` averages the dwells of a program
+pose by pose. The mean of both approach directions contains little friction, and half the difference
+of both directions is the friction. `RestProblem` explains the difference between the measured
+torques and the model of the bare arm by the four payload parameters.
+
+The payload is computed by generalised least squares with four kinds of errors: drive gains, which
+err by the same share at every pose; the gravity model, which errs by the same share at every pose;
+a constant per joint; and the friction at each pose that the two approach directions do not cancel.
+A second recording of the same poses without payload cancels the errors of the arm model, because
+only differences are used.
 """
 
 from __future__ import annotations
@@ -28,7 +31,11 @@ from hil.estimators.payload import LEVEL, Correction, PayloadEstimate, rms
 from hil.estimators.standstill import dry_friction, require_torque, resting_at
 
 MOST_KG, MOST_M = 5.0, 0.3
-"""A result with a wider 95 % interval is not reported: it would be taken for a measurement."""
+"""Largest half width of a reported 95 % interval, for the mass [kg] and the centre of mass [m].
+
+A value with a wider interval is not reported, because users would mistake the value for a
+measurement.
+"""
 
 
 def estimate_payload_at_rest(
@@ -38,30 +45,34 @@ def estimate_payload_at_rest(
     bare: Dataset | None = None,
     gain_share: float = GAIN_SHARE,
 ) -> PayloadEstimate:
-    """Mass and centre of mass of what hangs at the flange, from poses that the arm held.
+    """Return the mass and the centre of mass of the payload, from static poses.
 
     Args:
-        model: Fitted to recordings of the same arm whose loads are known.
-        dataset: Dwells with one load, or motion with stays in it.
-        bare: The same program with nothing mounted: much smaller errors.
-        gain_share: Standard deviation of a drive gain [share of it]; torques have no gains.
+        model: Model fitted to recordings of the same arm with known payloads.
+        dataset: Dwells with one payload, or a motion that contains static phases.
+        bare: Recording of the same program without payload, which strongly reduces the errors; None
+            without such a recording.
+        gain_share: Standard deviation of a drive gain, as a share of the gain; not used for torque
+            data.
 
     Returns:
-        An estimate whose inertia is NaN, and its centre too where no load shows or no pose shows
-        it. Its errors include those of the gains (so its `by_gain` is 0) and of the model.
+        Payload estimate whose inertia is NaN. The centre of mass is also NaN if no payload is
+        detected or if the poses do not determine it. The standard errors include the errors of the
+        drive gains and of the model; `by_gain` is therefore 0.
 
     Raises:
-        FitError: The model is not fitted, has no drive gains, predicts from the measured effort,
-            or predicts no arm at rest; the arm never rested; values are not finite, or the effort
-            is 0; the poses are too few or do not show the mass; the dry friction is not known; the
-            arm is lighter than the model has it.
-        DataError: The data are of another robot, unit or gravity, or `bare` of other poses or
-            approaches.
+        FitError: The model is not fitted, has no drive gains, uses the measured effort as an input,
+            or does not predict a static arm. The data contain no dwell, contain values that are not
+            finite, or contain an effort of 0 only. The number of poses is too small, or the poses
+            do not determine the mass. The dry friction of the joints is unknown. The identified
+            mass is significantly negative.
+        DataError: Robot, unit or gravity of the data differ from those of the model, or `bare`
+            contains different poses or approach directions.
     """
     require_torque(model)
     if model.protocol != HONEST:
         raise FitError(
-            f"{model.protocol}: such a model cannot tell a load at rest",
+            f"{model.protocol}; such a model cannot identify a payload from static poses",
             hint="fit without current_term",
         )
     readings = _readings(model, dataset)
@@ -75,8 +86,9 @@ def _readings(model: RobotEstimator, dataset: Dataset) -> RestReadings:
     dwells = dwells_of(dataset)
     if not len(dwells.conditions):
         raise FitError(
-            "the arm never rested in this recording, so it says nothing about a load at rest",
-            hint="run experiments/ur5_weigh.yaml, or use a model of motion",
+            "the arm was never at standstill in this recording, so a static identification of the "
+            "payload is not possible",
+            hint="run experiments/ur5_weigh.yaml, or use a model that was fitted to motion",
         )
     require_clean(dwells, ("t", "q", "effort"))
     return RestReadings.of(dwells)
@@ -127,54 +139,57 @@ def _estimate(
 def _require_mass(mass: float, reach: float) -> None:
     if reach > MOST_KG:
         raise FitError(
-            f"these poses do not show the mass: it is uncertain by {reach:.0f} kg",
-            hint="hold poses at which gravity turns joints that the load loads: the arm stretched",
+            f"these poses do not determine the mass: its uncertainty is {reach:.0f} kg",
+            hint="choose poses in which the payload causes large joint torques, such as a "
+            "stretched arm",
         )
     if mass < -reach:
         raise FitError(
-            f"the arm is {-mass:.2f} ± {reach:.2f} kg lighter at the flange than the model has it",
-            hint="the model, or --bare, must be of the arm without the load",
+            f"at the flange, the arm is {-mass:.2f} ± {reach:.2f} kg lighter than in the model",
+            hint="the model, or the recording of --bare, must be of the arm without payload",
         )
 
 
 def _notes(
     problem: RestProblem, values: FloatArray, interval: FloatArray, shows: bool
 ) -> Iterator[str]:
-    yield "an arm at rest does not show a load's inertia: use a recording of motion for that"
+    yield "static poses do not determine the inertia of a payload: record a motion for the inertia"
     if problem.one_sided_count:
         poses = f"{problem.one_sided_count} of {len(problem.found)} poses"
-        side = "an unknown side" if problem.tared else "one side only"
-        yield f"{poses} were approached from {side}: their friction is part of the errors"
+        side = "an unknown direction" if problem.tared else "one direction only"
+        yield f"{poses} were approached from {side}: their friction is included in the errors"
     if not problem.tared:
-        yield "the same program run with nothing mounted (--bare RUN) makes errors much smaller"
+        yield "a run of the same program without payload (--bare RUN) makes errors much smaller"
     if not shows:
         return
     axes = [axis for axis, value in zip("xyz", values[1:STATIC], strict=True) if np.isnan(value)]
     if axes:
         yield (
-            f"these poses do not show com_{', com_'.join(axes)}: hold poses in which the flange's "
-            "axis points in other directions (with it vertical, a centre anywhere on it is alike)"
+            f"these poses do not determine com_{', com_'.join(axes)}: add poses in which the "
+            "flange axis points in other directions (if the axis is vertical, every centre on the "
+            "axis gives the same torques)"
         )
     if np.all((interval[1:3, 0] <= 0.0) & (interval[1:3, 1] >= 0.0)):
         yield (
-            "the centre of mass is on the flange's axis as far as can be told: which way round "
-            "the load is mounted does not show"
+            "within its uncertainty, the centre of mass is on the flange axis, so the mounting "
+            "angle of the payload cannot be checked"
         )
 
 
 SAME_POSE_RAD = 0.01
-"""Poses whose joints are all nearer than this to one another are one pose."""
+"""Largest difference of joint positions between dwells of the same pose [rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestReadings:
-    """Efforts at P poses; of a pose that was approached from both sides, the mean of both.
+    """Positions and efforts at P static poses, averaged over the two approach directions.
 
     Attributes:
         q: (P, n) positions [rad].
-        effort: (P, n) in the unit of the data.
-        half: (P, n) half the difference between the approaches; NaN where there was one only.
-        sides: Per pose, the approaches there were: +1, −1, and 0 for an unknown one.
+        effort: (P, n) efforts, in the unit of the data.
+        half: (P, n) half of the effort difference between the approach directions; NaN if a pose
+            was approached from one direction only.
+        sides: Known approach directions of each pose: +1, −1, or 0 if unknown.
     """
 
     q: FloatArray
@@ -184,17 +199,17 @@ class RestReadings:
 
     @property
     def one_sided(self) -> BoolArray:
-        """(P,) poses at which friction does not cancel."""
+        """Mask (P,) of the poses at which friction does not cancel in the mean."""
         return np.asarray(~np.isfinite(self.half).all(axis=1))
 
     @property
     def side_unknown(self) -> BoolArray:
-        """(P,) poses of which no direction of approach is known."""
+        """Mask (P,) of the poses with no known approach direction."""
         return np.array([side == {0} for side in self.sides])
 
     @staticmethod
     def of(dwells: Dataset) -> RestReadings:
-        """Put dwells together, pose by pose."""
+        """Return the readings of a dataset of dwells, combined pose by pose."""
         q, effort = (series_means(dwells, dwells[name]) for name in ("q", "effort"))
         poses: dict[tuple[str, int], dict[int, list[int]]] = {}
         for number, condition in enumerate(dwells.conditions):
@@ -205,10 +220,10 @@ class RestReadings:
         return RestReadings(at, mean, half, tuple(map(frozenset, poses.values())))
 
     def matching(self, other: RestReadings) -> RestReadings:
-        """The readings of `other` at the poses of this one, in this order.
+        """Return the readings of `other` at the poses of these readings, in the same order.
 
         Raises:
-            DataError: It was not at one of them, or came there from elsewhere.
+            DataError: A pose is missing in `other`, or was approached from different directions.
         """
         apart = np.max(np.abs(self.q[:, None] - other.q[None]), axis=2)
         nearest = np.argmin(apart, axis=1)
@@ -219,16 +234,19 @@ class RestReadings:
         ]
         if missing:
             raise DataError(
-                f"{len(missing)} of {len(self.q)} poses were not held with the bare flange, or not "
-                "approached from the same sides",
-                hint="run the same program with and without the load",
+                f"{len(missing)} of {len(self.q)} poses were not recorded with the bare flange, "
+                "or not approached from the same directions",
+                hint="run the same program with and without the payload",
             )
         sides = tuple(other.sides[there] for there in nearest)
         return RestReadings(other.q[nearest], other.effort[nearest], other.half[nearest], sides)
 
 
 def _pose(condition: Conditions, number: int) -> tuple[str, int]:
-    """Dwells without a number of a pose, or without a side, are poses of their own."""
+    """Return a key that is equal for dwells of the same pose.
+
+    Dwells without a pose number or without an approach direction each get a separate key.
+    """
     known = condition.pose >= 0 and condition.approach
     return (condition.source, condition.pose) if known else ("", number)
 
@@ -236,7 +254,10 @@ def _pose(condition: Conditions, number: int) -> tuple[str, int]:
 def _read(
     q: FloatArray, effort: FloatArray, sides: dict[int, list[int]]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, effort and half difference (n,) of one pose, both sides weighing the same."""
+    """Return the position, the effort and the half difference (n,) of one pose.
+
+    The two approach directions have the same weight in the mean.
+    """
     at, mean = (
         np.mean([values[numbers].mean(axis=0) for numbers in sides.values()], axis=0)
         for values in (q, effort)
@@ -247,31 +268,41 @@ def _read(
 
 
 STATIC = 4
-"""A load's mass and first moment."""
+"""Number of payload parameters that static poses determine: mass and first moment."""
 
 STEPS = 8
-"""A load that friction or a drive makes more of than its rigid torque settles in three."""
+"""Number of fixed-point iterations in the computation of the payload.
+
+Three iterations are enough if friction or a drive increases the payload effort over its rigid
+value.
+"""
 
 LEAST_NM = 0.01
-"""Least standard deviation of a torque [N·m]: a simulation without noise has none."""
+"""Lower bound for the standard deviation of a torque [N·m], for simulations without noise."""
 
 PRIOR = 1e-6
-"""Information about each of the four without any pose: 1000 kg, 1000 kg·m. Nothing is singular."""
+"""Prior information on each of the four payload parameters, for 1000 kg and 1000 kg·m.
+
+The prior keeps the normal equations regular if the poses do not determine all parameters.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class RestErrors:
-    """Standard deviations of a model's errors at rest, except drive gains.
+    """Standard deviations of the model errors in static poses, apart from the drive gains.
 
-    Measured on the embedded mock's UR5, seeds 1 to 9, by `rigid-wls`, `rigid-hysteresis`,
-    `static-wls` and `static-hysteresis`, whose controller knew of the load or did not; see
-    docs/how-to/identify-a-load.md.
+    The error values were measured on the UR5 of the embedded mock, seeds 1 to 9, with `rigid-wls`,
+    `rigid-hysteresis`, `static-wls` and `static-hysteresis`. The payload was declared to the
+    controller in some runs and undeclared in others; see docs/how-to/identify-a-load.md.
 
     Attributes:
-        offset: Of a joint's constant, as a share of its dry friction.
-        pose: Of what friction leaves at a pose, the mean of two approaches, as a share of it.
-        gravity: Of the bare arm's gravity, as a share of it, one for all poses.
-        change: Of what dry friction has changed by since the bare weighing.
+        offset: Error of the constant torque of a joint, as a share of its dry friction.
+        pose: Friction that remains in the mean of two approach directions, as a share of the dry
+            friction.
+        gravity: Error of the gravity torque of the bare arm, as a share of this torque, common to
+            all poses.
+        change: Error due to a change of dry friction since the recording without payload, as a
+            share of this change.
     """
 
     offset: float = 0.3
@@ -281,29 +312,38 @@ class RestErrors:
 
 
 LEARNT_AT_REST = RestErrors(gravity=0.06)
-"""Those of models of an arm at rest; in motion, friction takes some of the gravity."""
+"""Standard deviations of the errors of models that were fitted to static poses.
+
+Models that were fitted to motions have larger gravity errors: their friction terms absorb a part of
+the gravity torque.
+"""
 
 TARED = RestErrors(offset=0.08, pose=0.15, gravity=0.0, change=0.5)
-"""Those of the difference to a weighing of the bare flange. Friction leaves that much because a
-controller that is told of another load than hangs there comes to rest otherwise."""
+"""Standard deviations of the errors of the difference to a recording without payload.
+
+The remaining friction in the difference is due to the controller: if its declared payload differs
+from the mounted payload, the joints come to rest in a different way.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestProblem:
-    """What poses tell of a load, and how surely.
+    """Generalised least-squares problem of a payload in static poses.
 
     Attributes:
-        model: Of the arm.
-        readings: At P poses.
-        found: (P, n) torque beyond that of the bare arm [N·m].
-        columns: (P, n, 4) of `static_columns`.
-        bare_torque: (P, n) torque of the bare arm by the model [N·m].
-        tared: Whether readings of the bare flange were subtracted.
-        errors: Of the model.
-        variance: (P, n) of `found`, errors that repeat from pose to pose left out [N²·m²].
-        friction: (n,) dry friction; unless tared, at least the model's own residual [N·m].
-        gain_share: Standard deviation of a drive gain, as a share of it.
-        one_sided_count: How many poses have all of their friction left.
+        model: Fitted model of the arm.
+        readings: Averaged readings at P poses.
+        found: (P, n) measured torque minus the torque of the bare arm [N·m].
+        columns: (P, n, 4) regressor of `static_columns`.
+        bare_torque: (P, n) predicted torque of the bare arm [N·m].
+        tared: Whether the readings without payload were subtracted.
+        errors: Standard deviations of the errors of the arm model.
+        variance: (P, n) variance of `found` without errors common to all poses [N²·m²].
+        friction: (n,) dry friction [N·m]. If `tared` is false, the value is at least the residual
+            standard deviation of the model.
+        gain_share: Standard deviation of a drive gain, as a share of the gain.
+        one_sided_count: Number of poses approached from one direction, at which the friction does
+            not cancel.
     """
 
     model: RobotEstimator
@@ -325,11 +365,17 @@ class RestProblem:
         first: RestReadings | None,
         gain_share: float,
     ) -> RestProblem:
-        """With or without the readings of the bare flange at the same poses, `first`.
+        """Return the payload problem, with or without readings of the bare flange.
+
+        Args:
+            model: Fitted model of the arm.
+            readings: Readings with the payload at P poses.
+            first: Readings without payload at the same poses, or None.
+            gain_share: Standard deviation of a drive gain, as a share of the gain.
 
         Raises:
-            FitError: There are too few poses, the friction is not known, or the model does not
-                predict an arm at rest.
+            FitError: There are too few poses, the friction is unknown, or the model does not
+                predict a static arm.
         """
         _require_enough(*readings.q.shape)
         K = model.torque_scale_
@@ -340,12 +386,12 @@ class RestProblem:
         friction, uncancelled = _friction(model, readings), 1.0
         if first is not None:
             found = found - (first.effort * K - _torque_at_rest(model, first.q, Payload()))
-            # Friction cancels if both runs came from the same side. If the side is unknown, they
-            # may not have: both readings keep theirs.
+            # Friction cancels if both runs approached from the same direction. If the direction is
+            # unknown, the friction of both readings possibly remains.
             errors, one_sided, uncancelled = TARED, readings.side_unknown, np.sqrt(2.0)
             change = np.nan_to_num(readings.half - first.half) * K
         else:
-            # A residual above the friction means the model is at least that wrong.
+            # A residual above the friction shows that the model errs by at least that much.
             friction = np.maximum(friction, model.sigma_ * K)
         share = np.where(one_sided, uncancelled, errors.pose)[:, None]
         variance = (share * friction) ** 2 + (errors.change * change) ** 2 + LEAST_NM**2
@@ -357,17 +403,17 @@ class RestProblem:
         )  # fmt: skip
 
     def solved(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(4,) parameters, their covariance (4, 4), and what is left of the torques (P, n)."""
+        """Return payload parameters (4,), their covariance (4, 4) and residual torques (P, n)."""
         phi = np.zeros(STATIC)
         for _ in range(STEPS):
-            # The model may make more of a load than its rigid torque; without a mass, nothing.
+            # The payload effort of a model may exceed the rigid torque, for example by friction.
             beyond = self._load_torque(phi) - self.columns @ phi
             wanted, carried = self.found - beyond, self.columns @ phi
             X, y = self._whitened(self.columns, carried), self._whitened(wanted[..., None], carried)
             covariance = np.asarray(np.linalg.inv(X.T @ X + PRIOR * np.eye(STATIC)))
             phi = np.asarray(covariance @ X.T @ y[:, 0])
         chi2 = float(np.sum((y[:, 0] - X @ phi) ** 2)) / (len(X) - STATIC)
-        # More is left than the errors explain: they are larger here.
+        # A χ² above 1 means that the assumed errors are too small, so the covariance is scaled up.
         return phi, np.asarray(covariance * max(1.0, chi2)), wanted - self.columns @ phi
 
     def _load_torque(self, phi: FloatArray) -> FloatArray:
@@ -376,7 +422,7 @@ class RestProblem:
         return _torque_at_rest(self.model, self.readings.q, point_load(phi)) - self.bare_torque
 
     def _whitened(self, values: FloatArray, carried: FloatArray) -> FloatArray:
-        """(n·P, k) of `values` (P, n, k) with errors of size 1 that do not correlate."""
+        """Return (n·P, k) the whitened `values` (P, n, k): uncorrelated errors of variance 1."""
         poses = len(self.variance)
         common = [
             self.gain_share * carried,
@@ -390,39 +436,43 @@ class RestProblem:
 
 
 def _require_enough(poses: int, joints: int) -> None:
-    """Raise FitError unless there are more torques than parameters of a load."""
+    """Raise FitError unless there are more torques than payload parameters."""
     if poses * joints <= STATIC:
         raise FitError(
-            f"{poses} {'pose' if poses == 1 else 'poses'} of {joints} joints is too few to "
-            "identify a load's mass and centre",
-            hint=f"hold at least {STATIC // joints + 1} poses",
+            f"{poses} pose(s) of {joints} joints are too few to identify mass and centre of mass "
+            "of a payload",
+            hint=f"record at least {STATIC // joints + 1} poses",
         )
 
 
 def _friction(model: RobotEstimator, readings: RestReadings) -> FloatArray:
-    """(n,) dry friction [N·m]: as the two approaches show it, else as the model has it."""
+    """Return (n,) the dry friction of each joint [N·m].
+
+    The dry friction is measured from the two approach directions if possible, and is otherwise
+    taken from the model.
+    """
     both = readings.half[~readings.one_sided]
     if len(both):
         return np.asarray(np.sqrt(np.mean(both**2, axis=0)) * model.torque_scale_)
     level = dry_friction(model)
     if level is None:
         raise FitError(
-            "no pose was approached from both sides, and the model does not tell dry friction: "
-            "nobody knows how much of the torques is the load's",
-            hint="use approach: both, as experiments/ur5_weigh.yaml does",
+            "no pose was approached from both directions, and the model does not contain dry "
+            "friction, so the torque of the payload cannot be separated from friction",
+            hint="use approach: both, as in experiments/ur5_weigh.yaml",
         )
     return level
 
 
 def _torque_at_rest(model: RobotEstimator, q: FloatArray, load: Payload) -> FloatArray:
-    """(P, n) torque [N·m] that the model expects of an arm that came from nowhere."""
+    """Return (P, n) the predicted torque [N·m] of static poses without approach direction."""
     effort: FloatArray = model.predict(resting_at(model, q, load)).effort
     if not np.all(np.isfinite(effort)):
-        raise FitError(f"the model {model.estimator} does not predict an arm at rest")
+        raise FitError(f"the model {model.estimator} does not predict static poses")
     return effort * model.torque_scale_
 
 
 def point_load(phi: FloatArray) -> Payload:
-    """A point mass of mass and first moment (4,); the mass must be above 0."""
+    """Return the point mass with this mass and first moment (4,); the mass must be above 0."""
     x, y, z = (float(value) for value in phi[1:] / phi[0])
     return Payload(float(phi[0]), (x, y, z))

@@ -1,17 +1,21 @@
-"""Whether declared loads are those that recordings show, and what about them is wrong.
+"""Check of declared payloads against the payloads identified from recordings.
 
-An identified load differs from the one mounted by its own error, by what the model of the arm has
-wrong all the time, and by the drive gains: a joint whose gain is really larger by a share makes
-every load too light by part of that share (`PayloadEstimate.by_gain`). Gains are the same for all
-loads of a run, so other loads tell them: each load is judged with the gains that the trusted ones
-beside it leave probable. Trusted is the largest set of loads that agree with one another.
+An identified payload differs from the mounted payload by its own error, by constant errors of the
+arm model, and by errors of the drive gains. If the true gain of a joint exceeds the gain in the
+model, every payload is identified as too light by part of that share (`PayloadEstimate.by_gain`).
+The gains are the same for all payloads of a run, so that the other payloads of the run provide
+information on them. Each payload is checked with the gains that the trusted payloads of the same
+run make probable. The trusted payloads are the largest set of payloads whose declarations agree
+with one another.
 
-A quantity contradicts its declaration when it is further off than a limit that correct ones of a
-load all keep, except with the probability `false_alarm`: Student's t by the estimate's blocks of
-time, gains of `GAIN_SHARE`, and a `Floor` for other errors of the model.
+An identified quantity contradicts its declaration if it differs from the declared value by more
+than a limit. The probability that any identified quantity of a correctly declared payload exceeds
+its limit is at most `false_alarm`. The limit of a deviation follows from Student's t distribution
+over the time blocks of the estimate, from drive-gain errors of `GAIN_SHARE`, and from a `Floor` for
+other errors of the model.
 
-A load that contradicts its declaration does so by a `Finding` with a name: its mass, its centre, a
-tool mounted the wrong way round, its inertia, or an inertia that no body has.
+Each contradiction is a `Finding` with a kind: the mass, the centre of mass, a rotated mounting, the
+inertia, or a physically inconsistent inertia.
 """
 
 from __future__ import annotations
@@ -30,27 +34,35 @@ from hil.estimators.distributions import normal_quantile, student_quantile
 from hil.estimators.payload import PayloadEstimate, true_values
 
 FALSE_ALARM = 0.002
-"""How often a correct declaration may be called wrong."""
+"""Probability that a correctly declared payload is reported as wrong."""
 
 TELLING = 4
-"""Values that gains are judged by: mass and centre. Inertias are too weakly known for that."""
+"""Number of payload values used to estimate the drive gains: mass and centre of mass.
+
+The inertias are not used for the drive gains, because their errors are too large.
+"""
 
 MOST = 8
-"""Loads among which every set is tried; of more, those beyond are trusted last."""
+"""Largest number of payloads for which every subset is tested for agreement.
+
+Payloads beyond this number are never used as trusted payloads.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """Standard deviations of what a model has wrong besides gains, whatever is recorded.
+    """Standard deviations of the model errors apart from drive gains, independent of the recording.
 
-    The defaults are about twice what the embedded mock's UR5 leaves (seeds 1 to 9, 1, 3 and 5 kg,
-    `rigid-hysteresis` and `rigid-wls`), once other loads have told the gains.
+    The default standard deviations are about twice the errors on the UR5 of the embedded mock
+    (seeds 1 to 9, 1, 3 and 5 kg, `rigid-hysteresis` and `rigid-wls`), after other payloads have
+    determined the drive gains.
 
     Attributes:
-        mass_kg: Of the mass of light loads.
-        mass_share: Of the mass of heavy ones: the larger of both counts.
-        com_m: Of each coordinate of the centre of mass.
-        inertia_kgm2: Of each inertia.
+        mass_kg: Error of the mass of a light payload [kg].
+        mass_share: Error of the mass of a heavy payload, as a share; the larger of `mass_kg` and
+            this error applies.
+        com_m: Error of each coordinate of the centre of mass [m].
+        inertia_kgm2: Error of each component of the inertia [kg·m²].
     """
 
     mass_kg: float = 0.01
@@ -59,25 +71,26 @@ class Floor:
     inertia_kgm2: float = 0.002
 
     def deviations(self, mass: float) -> FloatArray:
-        """(10,) in the order of `PayloadEstimate.values`."""
+        """Return (10,) the standard deviations of the errors of `PayloadEstimate.values`."""
         heavy = max(self.mass_kg, self.mass_share * mass)
         return np.array([heavy, *3 * [self.com_m], *6 * [self.inertia_kgm2]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Declaration:
-    """A declared load beside what was identified.
+    """Result of the check of one declared payload.
 
     Attributes:
-        declared: As somebody wrote it.
-        found: (10,) identified, in the order of `PayloadEstimate.values`, corrected by the gains
-            that the trusted loads tell.
-        limit: (10,) how far off each may be.
-        findings: What contradicts it; empty when nothing does.
-        trusted: Whether the gains of other loads are judged by it.
-        mount_observable: Whether a tool turned half about the flange's axis would show.
-        gains: (n,) shares by which the drive gains are above the model's, as the trusted loads
-            beside this one tell; zeros without any.
+        declared: Payload as declared for the run.
+        found: (10,) identified values in the order of `PayloadEstimate.values`, corrected for the
+            drive gains that the trusted payloads determine.
+        limit: (10,) largest accepted difference of each value.
+        findings: List of contradictions to the declaration; empty if there are none.
+        trusted: Whether this payload is used to determine the drive gains for other payloads.
+        mount_observable: Whether a mounting rotated by 180° about the flange axis would be
+            detected.
+        gains: (n,) shares by which the drive gains exceed the gains in the model, determined from
+            the other trusted payloads; zeros without such payloads.
     """
 
     declared: Payload
@@ -90,7 +103,7 @@ class Declaration:
 
     @property
     def agrees(self) -> bool:
-        """Whether nothing contradicts it."""
+        """Whether the payload does not contradict its declaration."""
         return not self.findings
 
 
@@ -101,13 +114,13 @@ def check_declarations(
     false_alarm: float = FALSE_ALARM,
     floor: Floor | None = None,
 ) -> tuple[Declaration, ...]:
-    """Every declared load of a run against the identified one.
+    """Return the check of every declared payload of a run against the identified payload.
 
     Args:
-        declared: Loads as declared.
-        estimates: One each, all by the same model of the same arm.
-        false_alarm: Probability with which a correct declaration may be called wrong.
-        floor: Errors of the model.
+        declared: Payloads as declared for the run.
+        estimates: One estimate per declared payload, all from the same model of the same arm.
+        false_alarm: False-alarm rate of a correctly declared payload.
+        floor: Standard deviations of the model errors apart from drive gains.
     """
     cases = [
         _Case(*pair, false_alarm, floor or Floor())
@@ -118,24 +131,24 @@ def check_declarations(
 
 
 class _Case:
-    """One load; `off` (10,) is by how much the estimate is above the declaration."""
+    """Declared and identified payload; `off` (10,) is the identified minus the declared one."""
 
     def __init__(
         self, declared: Payload, estimate: PayloadEstimate, false_alarm: float, floor: Floor
     ) -> None:
         self.declared = declared
-        self.by_gain = estimate.by_gain * (estimate.unit == "A")  # torques have no gains
+        self.by_gain = estimate.by_gain * (estimate.unit == "A")  # torque data have no drive gains
         self.values = estimate.values
         self.off = estimate.values - (0.0 if declared.is_empty else true_values(declared))
         tail = false_alarm / (2 * len(self.values))
         self.reach = float(-normal_quantile(tail))
-        # Few blocks of time know their own scatter badly: as much wider as Student's t asks.
+        # Few blocks of time estimate their scatter badly, so Student's t widens the limits.
         wider = -student_quantile(tail, estimate.degrees) / self.reach
         spread = estimate.covariance * np.outer(wider, wider)
         self.covariance = spread + np.diag(floor.deviations(estimate.values[0]) ** 2)
 
     def judged(self, others: Sequence[_Case], trusted: bool) -> Declaration:
-        """With the gains that other loads leave probable."""
+        """Return the payload check with the drive gains that other payloads make probable."""
         gains, spread = _gains(others, self.by_gain.shape[1])
         found = self.values + self.by_gain @ gains
         covariance = self.covariance + self.by_gain @ spread @ self.by_gain.T
@@ -146,24 +159,30 @@ class _Case:
         )  # fmt: skip
 
     def agrees(self, others: Sequence[_Case]) -> bool:
-        """Whether the gains that other loads tell leave nothing to be found."""
+        """Return whether a payload has no finding if the gains come from other payloads."""
         return self.judged(others, True).agrees
 
 
 def _gains(cases: Sequence[_Case], n: int) -> tuple[FloatArray, FloatArray]:
-    """(n,) shares by which gains are larger than the model's, and their covariance (n, n)."""
-    information, told = np.eye(n) / GAIN_SHARE**2, np.zeros(n)
+    """Return (n,) the relative drive-gain errors of the model, and their covariance (n, n).
+
+    A positive error means that the true gain is above the gain in the model.
+    """
+    information, score = np.eye(n) / GAIN_SHARE**2, np.zeros(n)
     for case in cases:
         S = case.by_gain[:TELLING]
         weighted = np.linalg.solve(case.covariance[:TELLING, :TELLING], S)
         information += S.T @ weighted
-        told -= weighted.T @ case.off[:TELLING]
+        score -= weighted.T @ case.off[:TELLING]
     spread = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    return spread @ told, spread
+    return spread @ score, spread
 
 
 def _trusted(cases: Sequence[_Case]) -> frozenset[int]:
-    """Numbers of the largest set of loads that agree; of several, of the one that agrees best."""
+    """Return the indices of the largest set of payloads that agree with one another.
+
+    If several sets have the same size, the set with the smallest misfit is returned.
+    """
     telling = [i for i, case in _all(cases) if not case.declared.is_empty][:MOST]
     for size in range(len(telling), 0, -1):
         sets = [
@@ -177,7 +196,7 @@ def _trusted(cases: Sequence[_Case]) -> frozenset[int]:
 
 
 def _misfit(cases: Sequence[_Case]) -> float:
-    """χ² of a set with its own best gains, those gains included."""
+    """Return χ² of a set of payloads at its best drive gains, with the prior of the gains."""
     gains, _ = _gains(cases, cases[0].by_gain.shape[1])
     total = float(np.sum((gains / GAIN_SHARE) ** 2))
     for case in cases:
@@ -195,22 +214,22 @@ def _all(cases: Sequence[_Case]) -> list[tuple[int, _Case]]:
 
 
 TURNED_RAD = np.radians(45.0)
-"""A centre that is turned about the flange's axis by as much is a tool mounted the wrong way."""
+"""Minimum rotation about the flange axis that counts as a wrongly rotated mounting [rad]."""
 
 SLACK = 1e-9
-"""Share of an inertia by which rounding may take it out of what bodies can have."""
+"""Tolerance for rounding in the physical consistency of an inertia, as a share of the inertia."""
 
 Kind = Literal["mass", "centre", "mount", "inertia", "no body"]
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One contradiction.
+    """One contradiction between a declared and an identified payload.
 
     Attributes:
-        kind: What is wrong: the mass, the centre of mass, the angle of the mount, the inertia, or
-            that no body has such an inertia.
-        text: The same with figures, for people.
+        kind: Name of the contradicting quantity: the mass, the centre of mass, the mounting angle,
+            the inertia, or a physically inconsistent inertia.
+        text: Description of the contradiction with numbers, for the user.
     """
 
     kind: Kind
@@ -218,19 +237,19 @@ class Finding:
 
 
 def _findings(declared: Payload, found: FloatArray, limit: FloatArray) -> Iterator[Finding]:
-    """What contradicts a declaration.
+    """Yield the contradictions between an identified payload and its declaration.
 
     Args:
-        declared: The load.
-        found: (10,) identified, in the order of `PayloadEstimate.values`.
-        limit: (10,) how far off each may be.
+        declared: Payload as declared in the spec.
+        found: (10,) identified values, in the order of `PayloadEstimate.values`.
+        limit: (10,) largest accepted difference between identified and declared values.
     """
     more = found[0] - declared.mass
     if abs(more) > limit[0]:
-        told = f"{abs(more):.2f} kg {'heavier' if more > 0 else 'lighter'} than declared"
-        yield Finding("mass", f"{told} (±{limit[0]:.2f} kg)")
+        text = f"{abs(more):.2f} kg {'heavier' if more > 0 else 'lighter'} than declared"
+        yield Finding("mass", f"{text} (±{limit[0]:.2f} kg)")
     if declared.is_empty:
-        return  # the centre of nothing is nowhere
+        return  # the centre of mass of an empty payload is undefined
     turn = 0.0
     com, reach = np.array(declared.com), limit[1:4]
     if np.any(np.abs(found[1:4] - com) > reach):
@@ -240,7 +259,7 @@ def _findings(declared: Payload, found: FloatArray, limit: FloatArray) -> Iterat
 
 
 def mount_observable(declared: Payload, limit: FloatArray) -> bool:
-    """Whether half a turn about the flange's axis would move the centre by more than its limit."""
+    """Return whether a 180° rotation about the flange axis moves the centre of mass too far."""
     x, y, _ = (abs(value) for value in declared.com)
     return bool(not declared.is_empty and (2 * x > limit[1] or 2 * y > limit[2]))
 
@@ -248,13 +267,13 @@ def mount_observable(declared: Payload, limit: FloatArray) -> bool:
 def _centre(com: FloatArray, found: FloatArray, turn: float) -> Finding:
     distance = 1e3 * float(np.linalg.norm(found - com))
     if turn:
-        return Finding("mount", f"turned by {np.degrees(turn):.0f}° about the flange's axis")
+        return Finding("mount", f"turned by {np.degrees(turn):.0f}° about the flange axis")
     by = ", ".join(f"{1e3 * value:+.0f}" for value in found - com)
     return Finding("centre", f"centre of mass {distance:.0f} mm off: by ({by}) mm")
 
 
 def _turn(com: FloatArray, found: FloatArray, reach: FloatArray) -> float:
-    """Angle about z that explains where the centre was found [rad]; 0 when none does."""
+    """Return the rotation about z that explains the identified centre of mass [rad], or 0."""
     angle = np.arctan2(found[1], found[0]) - np.arctan2(com[1], com[0])
     angle = float((angle + np.pi) % (2 * np.pi) - np.pi)
     explained = np.all(np.abs(_about_z(angle) @ com - found) <= reach)
@@ -265,10 +284,10 @@ def _inertia(
     declared: FloatArray, turn: float, found: FloatArray, limit: FloatArray
 ) -> Iterator[Finding]:
     if not np.any(declared):
-        return  # nobody declared one
+        return  # no inertia was declared
     half = 0.5 * float(np.trace(declared))
     if np.linalg.eigvalsh(half * np.eye(3) - declared)[0] < -SLACK * max(abs(half), 1e-300):
-        yield Finding("no body", "no body has the inertia declared")
+        yield Finding("no body", "the declared inertia is not physically consistent")
         return
     R = _about_z(turn)
     turned = R @ declared @ R.T
@@ -276,8 +295,8 @@ def _inertia(
     worst = int(np.argmax(np.abs(off) / limit))
     if abs(off[worst]) > limit[worst]:
         name = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")[worst]
-        told = f"{name} {abs(off[worst]):.3g} kg·m² {'more' if off[worst] > 0 else 'less'}"
-        yield Finding("inertia", f"{told} than declared (±{limit[worst]:.2g} kg·m²)")
+        text = f"{name} {abs(off[worst]):.3g} kg·m² {'more' if off[worst] > 0 else 'less'}"
+        yield Finding("inertia", f"{text} than declared (±{limit[worst]:.2g} kg·m²)")
 
 
 def _about_z(angle: float) -> FloatArray:

@@ -1,9 +1,9 @@
-"""Weighted least squares on (X, y) with scikit-learn's contract and standard errors.
+"""Weighted least squares on (X, y) with standard errors and the interface of scikit-learn.
 
-scikit-learn's `LinearRegression` takes weights but reports no standard errors. These two classes
-are for pipelines, cross-validation and grid search; estimators of this package call the functions
-behind them, `hil.estimators.least_squares.weighted_least_squares` and
-`hil.estimators.covariance.clustered_covariance`, which load no scikit-learn.
+`LinearRegression` of scikit-learn accepts weights but reports no standard errors. The two classes
+of this module are for pipelines, cross-validation and grid search. Estimators of this package use
+the underlying functions `hil.estimators.least_squares.weighted_least_squares` and
+`hil.estimators.covariance.clustered_covariance`, which do not import scikit-learn.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from hil.estimators.least_squares import weighted_least_squares
 
 
 class WeightedLeastSquares(RegressorMixin, BaseEstimator):  # type: ignore[misc]
-    """Minimise Σ wᵢ (yᵢ − xᵢᵀβ)² by QR, with standard errors.
+    """Estimator that minimises Σ wᵢ (yᵢ − xᵢᵀβ)² by QR and computes standard errors.
 
     Args:
-        fit_intercept: Add a constant column.
-        rank_tolerance: Directions whose singular value, after scaling every column to unit
-            length, is below this share of the largest count as not excited; they get the
-            smallest solution.
+        fit_intercept: Whether a constant column is added.
+        rank_tolerance: Relative singular value below which a direction counts as not excited, after
+            all columns are scaled to unit length. In directions that are not excited, the solution
+            has the smallest norm.
 
     Attributes:
-        coef_: (p,).
-        intercept_: 0.0 unless `fit_intercept`.
-        rank_: Number of excited directions, intercept included.
-        condition_: Condition number of the column-scaled, weighted regressor.
-        unscaled_covariance_: (XᵀWX)⁻¹ of the coefficients (p, p); their covariance if the
+        coef_: (p,) coefficients.
+        intercept_: Fitted intercept; 0.0 if `fit_intercept` is not set.
+        rank_: Number of excited directions, with the intercept counted.
+        condition_: Condition number of the weighted regressor after scaling of its columns.
+        unscaled_covariance_: (p, p) matrix (XᵀWX)⁻¹ of the coefficients; their covariance if the
             weights are the reciprocals of the true variances.
-        bread_: The same with the intercept, the last one, if there is one.
+        bread_: Matrix (XᵀWX)⁻¹ including the intercept, if any, as the last row and column.
         std_error_: (p,) standard errors with the variance scale estimated from the residual.
-        sigma_: Estimated standard deviation of an observation of weight 1, NaN without
+        sigma_: Estimated standard deviation of an observation of weight 1; NaN if there are no
             degrees of freedom.
 
     Examples:
@@ -52,7 +52,7 @@ class WeightedLeastSquares(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.rank_tolerance = rank_tolerance
 
     def fit(self, X: Any, y: Any, sample_weight: Any = None) -> WeightedLeastSquares:
-        """Fit to X (N, p) and y (N,) with weights (N,), all 1 when None."""
+        """Fit the coefficients to X (N, p) and y (N,) with weights (N,); equal weights if None."""
         X, y = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
         weight = _weights(sample_weight, len(X))
         design = np.column_stack([X, np.ones(len(X))]) if self.fit_intercept else X
@@ -67,7 +67,7 @@ class WeightedLeastSquares(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
     def predict(self, X: Any) -> FloatArray:
-        """Xβ (N,)."""
+        """Return the prediction Xβ (N,)."""
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
         predicted: FloatArray = X @ self.coef_ + self.intercept_
@@ -89,15 +89,16 @@ class ClusteredLeastSquares(WeightedLeastSquares):
     """Weighted least squares with cluster-robust standard errors and intervals.
 
     Args:
-        fit_intercept: Add a constant column; its own uncertainty is left out.
-        rank_tolerance: As in `WeightedLeastSquares`.
-        correction: For few clusters, `CR1` or `CR2`, see `hil.estimators.covariance`.
+        fit_intercept: Whether a constant column is added; its uncertainty is not reported.
+        rank_tolerance: Relative singular value below which a direction is not excited, as in
+            `WeightedLeastSquares`.
+        correction: Correction for few clusters, `CR1` or `CR2`, see `hil.estimators.covariance`.
 
     Attributes:
-        covariance_: (p, p) of `coef_`.
-        std_error_: (p,) its diagonal's square roots.
-        degrees_: (p,) of Student's t.
-        n_clusters_: How many clusters there were.
+        covariance_: (p, p) covariance of `coef_`.
+        std_error_: (p,) standard errors: square roots of the diagonal of `covariance_`.
+        degrees_: (p,) degrees of freedom of Student's t distribution for each coefficient.
+        n_clusters_: Number of clusters in the data.
 
     Examples:
         >>> import numpy as np
@@ -120,7 +121,10 @@ class ClusteredLeastSquares(WeightedLeastSquares):
     def fit(
         self, X: Any, y: Any, sample_weight: Any = None, clusters: Any = None
     ) -> ClusteredLeastSquares:
-        """Fit to X (N, p) and y (N,), weights (N,) and cluster numbers (N,), each row its own."""
+        """Fit the coefficients to X (N, p) and y (N,) with weights (N,) and cluster numbers (N,).
+
+        If no cluster numbers are passed, every row is a separate cluster.
+        """
         if self.correction not in ("CR1", "CR2"):
             raise ValueError(f"correction is {self.correction!r}, but must be 'CR1' or 'CR2'")
         super().fit(X, y, sample_weight)
@@ -141,6 +145,6 @@ class ClusteredLeastSquares(WeightedLeastSquares):
         return self
 
     def interval(self, level: float = 0.95) -> FloatArray:
-        """(p, 2) lower and upper end in which a coefficient lies with probability `level`."""
+        """Return (p, 2) the confidence intervals of the coefficients at `level`."""
         check_is_fitted(self)
         return interval(self.coef_, self.std_error_, self.degrees_, level)

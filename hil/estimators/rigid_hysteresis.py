@@ -1,17 +1,18 @@
-"""Rigid-body dynamics with friction that remembers, depends on load, and is chosen by the data.
+"""Rigid-body dynamics with hysteretic, load-dependent friction that is selected by the data.
 
-What classical friction models lack is memory: a joint that turns round, or stands still, has the
-friction its last millirad left it with. Dahl's states carried along the measured path take the
-place of sign(v); friction grows with the torque through the gear; gears and motors ripple.
+Classical friction models have no memory. The friction of a joint that reverses or stands still
+depends on the last millirad of its path. In `rigid-hysteresis`, Dahl's states, computed along the
+measured path, replace sign(v). Friction increases with the torque through the gear, and gears and
+motors cause ripple.
 
-A fit goes in four steps (`RigidHysteresis._learn`):
+A fit of `rigid-hysteresis` has four steps (`RigidHysteresis._learn`):
 
-1. The rigid body with the core of friction; the torque through every gear follows.
-2. The shapes of each joint's friction (lengths, Stribeck speeds, exponents) by variable projection.
-3. The columns of the friction library beside the rigid body, compressed per trajectory. Which
-   groups of columns a joint gets, and how firmly they are held, is decided by leaving trajectories
-   out.
-4. All coefficients at once, then the links of a robot that can exist.
+1. The rigid body is fitted with basic friction, which gives the torque through every gear.
+2. The shapes of the friction of each joint (lengths, Stribeck speeds, exponents) are fitted by
+   variable projection.
+3. The columns of the friction library and the rigid-body regressor are compressed per trajectory.
+   Cross-validation over trajectories selects the groups of columns and the penalty of each joint.
+4. All coefficients are fitted together, and then the physically consistent links.
 """
 
 from __future__ import annotations
@@ -89,14 +90,14 @@ from hil.estimators.parameters import flag, number, parameter, settings
 from hil.estimators.streaming import DahlMemory, SampleStream
 
 FRICTION_SAMPLES = 10
-"""Samples per joint for its friction, beside those for the links."""
+"""Minimum number of samples per joint for its friction, besides the samples for the links."""
 
 
 def _group_names(name: str, value: str | Sequence[str]) -> str | tuple[str, ...]:
-    """`auto`, or names of groups; the core is always there and need not be named.
+    """Return `auto` or the names of groups, to which the group `core` is always added.
 
     Raises:
-        SpecError: There is no such group.
+        SpecError: A named group does not exist.
     """
     if value == "auto":
         return "auto"
@@ -108,24 +109,26 @@ def _group_names(name: str, value: str | Sequence[str]) -> str | tuple[str, ...]
         if not isinstance(group, str) or group not in known:
             words = ["auto", *known]
             raise SpecError(
-                f"{name}: there is no group {group!r}",
-                hint=did_you_mean(str(group), words) or f"there are {', '.join(words)}",
+                f"{name}: unknown group {group!r}",
+                hint=did_you_mean(str(group), words) or f"known groups: {', '.join(words)}",
             )
     return tuple(dict.fromkeys((CORE, *chosen)))
 
 
 class RigidHysteresis(RobotEstimator):
-    """The default for dynamics: a robot that can exist, with friction that remembers.
+    """Default estimator for dynamics: physically consistent links and friction with memory.
 
     Attributes:
         rigid_: (b,) base parameters.
-        inertial_: (11n,) of a robot that can exist; absent without `consistent`.
-        law_: Friction, ripple and drive.
-        filters_: Those that were used.
-        gear_rigid_: (b,) base parameters the torque through the gears was computed with.
-        held_out_: (n,) error on left-out trajectories, filtered, in effort units; the same
-            trajectories chose the groups.
-        parameter_names_: Base parameters, then every joint's friction.
+        inertial_: (11n,) physically consistent inertial parameters; None unless `consistent` is
+            set.
+        law_: Fitted law of friction, ripple and drive effects.
+        filters_: Filter settings that the fit used.
+        gear_rigid_: (b,) base parameters with which the torque through the gears was computed.
+        held_out_: (n,) cross-validation error of the filtered effort over trajectories, in effort
+            units. The trajectories of this cross-validation were also used to select the groups.
+        parameter_names_: Names of base parameters, followed by the friction parameters of every
+            joint.
     """
 
     estimator: ClassVar[str] = "rigid-hysteresis"
@@ -134,53 +137,54 @@ class RigidHysteresis(RobotEstimator):
     friction: str | tuple[str, ...] = parameter(
         "auto",
         _group_names,
-        doc="`auto` lets training trajectories that are left out choose among a few nested lists "
-        "of groups, joint by joint; or the groups every joint has.",
+        doc="`auto`: one of a few nested lists of groups per joint, selected by cross-validation "
+        "over the training trajectories; or a list of groups for all joints.",
     )
     fit_shapes: bool = parameter(
         True,
         flag,
-        doc="Fit lengths, Stribeck speeds and exponents; False keeps the usual ones.",
+        doc="Fit friction lengths, Stribeck speeds and exponents; False uses the default values.",
     )
     consistent: bool = parameter(
-        True, flag, doc="Links that can exist; needs the extra `identify`."
+        True, flag, doc="Make the links physically consistent; needs the extra `identify`."
     )
     gear_ratio: float | None = parameter(
         None,
         number,
         above=0,
         optional=True,
-        doc="Motor turns per joint turn, for ripple; by default the arm's, if known.",
+        doc="Motor turns per joint turn, for ripple; by default those of the arm description, if "
+        "known.",
     )
     filters: FilterSettings | None = parameter(
         None,
         settings,
         FilterSettings,
         optional=True,
-        doc="Preprocessing of training and prediction alike; by default 11 Hz for motion and "
-        "17.6 Hz for effort, whatever the sample rate, and more for arms that move quicker.",
+        doc="Preprocessing for training and prediction; by default cut-offs of 11 Hz for motion "
+        "and 17.6 Hz for effort at any sample rate, and higher cut-offs for faster motions.",
     )
 
     inertial_: FloatArray
 
     def extras(self) -> dict[str, str]:
-        """A solver of semidefinite programs, if the links are to be such that can exist."""
-        purpose = f"{IDENTIFY['identify']}; consistent: false does without"
+        """Return the optional dependency for semidefinite programming if `consistent` is set."""
+        purpose = f"{IDENTIFY['identify']}; not needed with consistent: false"
         return {"identify": purpose} if self.consistent else {}
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what a fit cannot do without: samples for links and friction, and drive gains."""
+        """Return the minimum data requirements: number of samples, and drive gains."""
         rank = base_parameters(robot, rotor=True).rank
         return Needs({"samples": rank + FRICTION_SAMPLES * robot.n}, gains=True)
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit to every series given; declared loads are part of what the gears transmit.
+        """Fit the model to all series; declared payloads add to the torque through the gears.
 
         Raises:
-            FitError: The data are too few, not finite, of another robot or unit, hold efforts
-                that cannot be, or do not excite all parameters.
+            FitError: The data are too few, not finite, or are of a different robot or unit, contain
+                impossible efforts, or do not excite all parameters.
             DataError: A series cannot be filtered.
-            PluginError: The extra `identify` is missing.
+            PluginError: The optional dependency `identify` is not installed.
         """
         require_robot(dataset, robot)
         self._remember(dataset, robot, torque_scale(dataset))
@@ -198,7 +202,7 @@ class RigidHysteresis(RobotEstimator):
         return self
 
     def _learn(self, data: Dataset) -> None:
-        """Fit to prepared data in the four steps of the module; sets what was fitted."""
+        """Fit the model to prepared data in the four steps, and set the fitted attributes."""
         robot, base, turns = self.robot_, self._base, motor_turns(self.robot_, self.gear_ratio)
         training = TrainingData.of(data, self.filters_, robot, base, self.torque_scale_)
         ripple = bool(np.any(np.isfinite(turns)))
@@ -206,18 +210,18 @@ class RigidHysteresis(RobotEstimator):
         shapes = first_shapes(turns)
 
         def rigid_with(names: Sequence[str], gear: FloatArray | None) -> FloatArray:
-            """(b,) with these groups beside the core in every joint."""
+            """Return (b,) base parameters, fitted with these groups and `core` for every joint."""
             chosen = {name: library[name] for name in (CORE, *names)}
             observed = training.observed(chosen, gear, shapes)
             return solve(observed, [tuple(chosen)] * observed.joints).rigid
 
-        # Steps 1 and 2: the torque through the gears is one of what the backbone is made of, so
-        # that the rigid body is fitted again once it is known, and again with other shapes.
+        # Steps 1 and 2: the friction columns depend on the torque through the gears. The rigid body
+        # is therefore fitted again after this torque is known, and again with the fitted shapes.
         gear_rigid = rigid_with(BACKBONE, rigid_with(["speed p"], None))
         if self.fit_shapes:
             shapes = fitted_shapes(training.rest(gear_rigid, shapes), shapes)
             gear_rigid = rigid_with(BACKBONE, gear_rigid)
-        # Step 3. Parts of one trajectory are no trajectories: there, richer must be better.
+        # Step 3. If folds are parts of one trajectory, a richer list must have a smaller error.
         offered, ladders = _offered(training, library, self.friction, gear_rigid)
         observed = training.observed(offered, gear_rigid, shapes)
         found = climb(observed, ladders, as_good=AS_GOOD if training.whole else 0.0)
@@ -238,12 +242,13 @@ class RigidHysteresis(RobotEstimator):
         self.samples_ = int(training.kept.sum())
 
     def predict(self, dataset: Dataset) -> Prediction:
-        """Effort per row: `gravity`, `inertia`, `friction`, `ripple`, `drive`, `payload`.
+        """Return the effort of every row with the components of the model.
 
-        Friction is filtered like the motion it follows from.
+        The components of the effort are `gravity`, `inertia`, `friction`, `ripple`, `drive` and
+        `payload`. The predicted friction is filtered like the motion from which it is computed.
 
         Raises:
-            DataError: The data are of another robot or unit, or cannot be filtered.
+            DataError: The data are of a different robot or unit, or cannot be filtered.
         """
         self.require_match(dataset)
         data = prepared(dataset, self.filters_)
@@ -258,9 +263,9 @@ class RigidHysteresis(RobotEstimator):
         return Prediction(effort, std, np.isfinite(effort), parts)
 
     def stream(self, payload: Payload | None = None) -> Stream:
-        """A predictor for one sample at a time that carries the friction states with it.
+        """Return a predictor for one sample at a time, with its friction states.
 
-        It filters nothing: give it motion as smooth as the training's.
+        The predictor does not filter its input, which should be as smooth as the training motion.
         """
         load, law = payload or Payload(), self.law_
         celsius = None if law.celsius is None else law.celsius[None]
@@ -283,13 +288,13 @@ class RigidHysteresis(RobotEstimator):
         return SampleStream(self.robot_.n, memory, effort)
 
     def break_away(self) -> FloatArray:
-        """Return the friction (n,) that an unloaded joint at rest holds before it slides [N·m]."""
+        """Return (n,) the friction [N·m] that an unloaded static joint can hold."""
         return self.law_.break_away()
 
     def _rigid_torques(
         self, data: Dataset, load: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Rigid body, its gravity, and the torque through the gears, each (N, n) [N·m]."""
+        """Return rigid-body torque, its gravity component and gear torque, each (N, n) [N·m]."""
         torque, gravity, transmitted = (np.empty_like(load) for _ in range(3))
         for rows in chunks(data):
             q, qd, qdd = (data[name][rows] for name in MOTION)
@@ -302,7 +307,7 @@ class RigidHysteresis(RobotEstimator):
         return torque, gravity, transmitted
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """Rigid body, friction and its shapes, gains and deviations."""
+        """Return rigid-body parameters, friction, shapes, torque scale and deviations as arrays."""
         arrays = {
             "rigid": self.rigid_,
             "gear_rigid": self.gear_rigid_,
@@ -318,7 +323,7 @@ class RigidHysteresis(RobotEstimator):
         return arrays if inertial is None else arrays | {"inertial": inertial}
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Names of all parameters, and which groups every joint has."""
+        """Return the names of all parameters, the groups of each joint and the filter settings."""
         return super().fitted_facts() | {
             "parameter_names": list(self.parameter_names_),
             "friction": [list(names) for names in self.law_.chosen],
@@ -326,7 +331,7 @@ class RigidHysteresis(RobotEstimator):
         }
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fitted attributes from the output of `fitted_arrays` and `fitted_facts`."""
         self._restore_common(arrays, facts)
         self._base = base_parameters(self.robot_, rotor=True)
         self.rigid_, self.gear_rigid_ = arrays["rigid"], arrays["gear_rigid"]
@@ -351,31 +356,35 @@ class RigidHysteresis(RobotEstimator):
 
 
 MOTION_HZ, EFFORT_RATIO = 11.0, 1.6
-"""Lowest cut-off for velocity and acceleration, and that of the effort over it. An arm's motion has
-the same frequencies however often it is sampled. A fit learns from a wider band than it predicts:
-ripple shows there. Chosen on four UR10e trajectories, each left out in turn."""
+"""Lowest cut-off of velocity and acceleration [Hz], and ratio of the effort cut-off to this value.
+
+The motion cut-off does not depend on the sample rate, because the motion of an arm has the same
+frequencies at every sample rate. The effort cut-off is higher than the motion cut-off, because
+ripple is visible at higher frequencies. The cut-off values were chosen by cross-validation on four
+UR10e trajectories.
+"""
 
 BANDWIDTHS = 5.0
-"""A cut-off is at least so many times the bandwidth of the motion, for arms that are quicker."""
+"""Minimum ratio of the cut-off to the bandwidth of the motion, for fast arms."""
 
 ENERGY = 0.999
-"""Share of the velocity's energy within its bandwidth."""
+"""Share of the energy of the velocity that defines its bandwidth."""
 
 MOST_OF_NYQUIST = 0.75
 
 
 def filters_for(dataset: Dataset) -> FilterSettings:
-    """Filters by the bandwidth of the motion that is learnt from.
+    """Return filter settings for the bandwidth of the training motion.
 
     Raises:
-        DataError: Time does not increase.
+        DataError: The time stamps of a series do not increase.
     """
     bandwidth, nyquist = 0.0, np.inf
     for condition, rows in dataset.slices():
         if condition.kind not in AT_REST and rows.stop - rows.start > 2:
             t = dataset["t"][rows]
             nyquist = min(nyquist, 0.5 * sample_rate(t))
-            # Measured velocity says it best: differences of positions are mostly noise.
+            # Measured velocity is preferred, because position differences contain much noise.
             measured = dataset["qd"][rows] if "qd" in dataset.columns else None
             velocity = derivative(dataset["q"][rows], t) if measured is None else measured
             bandwidth = max(bandwidth, _bandwidth(velocity, t))
@@ -386,15 +395,18 @@ def filters_for(dataset: Dataset) -> FilterSettings:
 
 
 def _bandwidth(velocity: FloatArray, t: FloatArray) -> float:
-    """Frequency below which nearly all of the median joint's velocity (N, n) lies [Hz]."""
+    """Return the bandwidth of velocities (N, n) [Hz], as the median over the joints.
+
+    The bandwidth of a joint contains the share `ENERGY` of the energy of its velocity.
+    """
     from scipy.signal import welch
 
     rate = sample_rate(t)
     length = min(len(t), int(4.0 * rate))
     if length < 2:
         raise DataError(
-            f"samples at {rate:.3g} Hz are too slow to tell how quick a motion is",
-            hint="look at the unit of the time stamps: they have to be seconds",
+            f"a sample rate of {rate:.3g} Hz is too low to determine the bandwidth of a motion",
+            hint="check the unit of the time stamps, which must be seconds",
         )
     frequency, power = welch(velocity, rate, nperseg=length, axis=0)
     share = np.cumsum(power, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)
@@ -402,7 +414,7 @@ def _bandwidth(velocity: FloatArray, t: FloatArray) -> float:
 
 
 def motor_turns(robot: RobotModel, gear_ratio: float | None) -> FloatArray:
-    """(n,) motor turns per joint turn; NaN where nobody knows."""
+    """Return (n,) the motor turns per joint turn; NaN if unknown."""
     if gear_ratio is not None:
         return np.full(robot.n, gear_ratio)
     if robot.arm is None:
@@ -411,15 +423,15 @@ def motor_turns(robot: RobotModel, gear_ratio: float | None) -> FloatArray:
 
 
 NO_TRAJECTORIES = (
-    "one trajectory only: friction columns were chosen on parts of it left out, which is less "
-    "than a trajectory of its own"
+    "one trajectory only: friction columns were selected on held-out parts of this trajectory, "
+    "which are less independent than a second trajectory"
 )
 
 WORSE = 1.2
-"""Growth of a joint's error by bounds on links that a note reports."""
+"""Maximum ratio by which the bounds on links increase the error of a joint without a note."""
 
 BACKBONE = ("load", "stribeck", "speed p")
-"""Friction while shapes are looked for."""
+"""Groups of friction columns that are used while the shapes are fitted."""
 
 
 def _offered(
@@ -428,7 +440,7 @@ def _offered(
     friction: str | Sequence[str],
     gear_rigid: FloatArray,
 ) -> tuple[dict[str, Columns], list[list[tuple[str, ...]]]]:
-    """Groups that are computed, and the lists every joint may choose from."""
+    """Return the groups of columns to compute, and the lists of groups possible for each joint."""
     if friction != "auto":
         names = tuple(name for name in friction if name in library)
         return {name: library[name] for name in names}, [[names]] * training.data.n_joints
@@ -442,12 +454,15 @@ def _offered(
 def _notes(
     training: TrainingData, library: Mapping[str, Columns], friction: str | Sequence[str]
 ) -> tuple[str, ...]:
-    """What people should know about the choice of groups."""
+    """Return notes for the user about the selection of friction groups."""
     notes = [] if training.whole else [NO_TRAJECTORIES]
     missing = [] if friction == "auto" else [name for name in friction if name not in library]
     if missing:
         left_out = ", ".join(missing)
-        notes.append(f"without motor turns or varying temperatures left out: {left_out}")
+        notes.append(
+            "groups left out, because motor turns are unknown or temperatures do not "
+            f"vary: {left_out}"
+        )
     return tuple(notes)
 
 
@@ -461,37 +476,40 @@ def _require_excited(solved: Solved, base: BaseParameters) -> None:
 def _bound_notes(
     bounds: InertialBounds, solved: Solved, joint_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Notes on links at their bounds, and on what the bounds cost."""
+    """Return notes on links at their bounds, and on the error increase caused by the bounds."""
     assert solved.inertial is not None
     notes = bounds.notes + bounds.reached(solved.inertial, joint_names)
     worst = float(np.max(solved.grown))
     if worst > WORSE:
         joint = joint_names[int(np.argmax(solved.grown))]
         notes += (
-            f"links that can exist make the error of {joint} {worst:.2g} times larger: if the "
-            "load and the robot's nominal model are right, try consistent: false",
+            f"physically consistent links make the error of {joint} {worst:.2g} times larger: if "
+            "the payload and the nominal robot model are correct, try consistent: false",
         )
     return notes
 
 
 ROWS_PER_CUTOFF = 8.0
-"""A fit keeps so many rows per period of the effort's cut-off: more say nothing new."""
+"""Number of rows used in a fit per period of the effort cut-off.
+
+More rows per period add no information.
+"""
 
 
 @dataclass(eq=False)
 class TrainingData:
-    """Prepared data and all that is computed from them once.
+    """Prepared training data, with the quantities that are computed from the data only one time.
 
     Attributes:
         data: Prepared dataset.
-        settings: Its filters.
+        settings: Filter settings of the dataset.
         Y: (N, n, b) base regressor.
-        load: (N, n) torque of declared loads [N·m].
-        target: (N, n) filtered torque without them [N·m].
-        steps: (N, n) path [rad].
-        fold: (N,) fold of every row.
-        whole: Whether folds are whole trajectories.
-        kept: (N,) rows that are fitted.
+        load: (N, n) torque of the payloads [N·m].
+        target: (N, n) filtered torque without the payloads [N·m].
+        steps: (N, n) joint displacements since the previous sample [rad].
+        fold: (N,) index of the cross-validation fold of every row.
+        whole: Whether the folds consist of whole trajectories.
+        kept: (N,) mask of the rows that are used in the fit.
     """
 
     data: Dataset
@@ -512,7 +530,15 @@ class TrainingData:
         base: BaseParameters,
         scale: FloatArray,
     ) -> TrainingData:
-        """From prepared data of a robot whose efforts make `scale` (n,) torque per unit."""
+        """Return the training data from a prepared dataset.
+
+        Args:
+            data: Prepared dataset.
+            settings: Filter settings of the dataset.
+            robot: Robot model.
+            base: Base parameters of the robot.
+            scale: (n,) torque per unit of effort.
+        """
         motion = tuple(data[name] for name in MOTION)
         load = payload_torque(robot, data, *motion)
         Y = base.regressor(robot, *motion).reshape(*load.shape, base.rank)
@@ -524,30 +550,31 @@ class TrainingData:
     def observed(
         self, groups: Mapping[str, Columns], rigid: FloatArray | None, shapes: Shapes
     ) -> Observed:
-        """Compressed observations with these groups' columns.
+        """Return the compressed observations with the columns of the passed groups.
 
         Args:
-            groups: By name.
-            rigid: (b,) base parameters for the torque through the gears; None for loads alone.
-            shapes: Of the friction.
+            groups: Functions that compute columns, by group name.
+            rigid: (b,) base parameters for the torque through the gears; None if only the payloads
+                count.
+            shapes: Nonlinear friction parameters.
         """
         slices: dict[str, slice] = {}
         blocks = self._blocks(groups, self.transmitted(rigid), shapes, slices)
         return observe(blocks, slices, self.Y.shape[2])
 
     def transmitted(self, rigid: FloatArray | None) -> FloatArray:
-        """(N, n) torque through the gears [N·m]."""
+        """Return (N, n) the torque through the gears [N·m]."""
         return self.load if rigid is None else self.Y @ rigid + self.load
 
     def load_share(self, rigid: FloatArray) -> FloatArray:
-        """(n,) torque through each gear over what the rigid body leaves, on kept rows, RMS."""
+        """Return (n,) the RMS ratio of the gear torque to the torque beyond the rigid body."""
         Y, target, load = self.Y[self.kept], self.target[self.kept], self.load[self.kept]
         transmitted = np.mean((Y @ rigid + load) ** 2, axis=0)
         left = np.mean((target - Y @ rigid) ** 2, axis=0)
         return np.asarray(np.sqrt(transmitted / np.maximum(left, 1e-300)))
 
     def rest(self, rigid: FloatArray, shapes: Shapes) -> list[Part]:
-        """Per series its motion, what the rigid body leaves on kept rows, and its filter."""
+        """Return the motion, the torque left by the rigid body, and the filter of each series."""
         parts = []
         transmitted = self.transmitted(rigid)
         for condition, rows, motion in motions(self.data, self.steps, transmitted, shapes):
@@ -563,7 +590,7 @@ class TrainingData:
         shapes: Shapes,
         slices: dict[str, slice],
     ) -> Iterator[Block]:
-        """Columns, regressor and target series by series; sets the columns' `slices`."""
+        """Yield columns, regressor and target of each series; set the column ranges in `slices`."""
         for condition, rows, motion in motions(self.data, self.steps, transmitted, shapes):
             made = {name: columns(motion) for name, columns in groups.items()}
             start = 0
@@ -578,13 +605,17 @@ class TrainingData:
                 yield int(one), F[own], Y[own], target[own]
 
     def _through(self, condition: Conditions, rows: slice) -> Through:
-        """The effort's filter over one series, and the rows that are kept of it."""
+        """Return a function that filters the effort of a series and selects the rows of the fit."""
         t, kept = self.data["t"][rows], self.kept[rows]
         return lambda values: smoothed(values, condition, t, self.settings)[kept]
 
 
 def rows_kept(data: Dataset, settings: FilterSettings) -> BoolArray:
-    """(N,) which rows a fit uses: what the settings say, else enough for the effort's cut-off."""
+    """Return (N,) a mask of the rows that a fit uses.
+
+    If the filter settings do not define down-sampling, the number of rows follows from the effort
+    cut-off.
+    """
     if settings.downsamples:
         return downsampling_mask(data, settings)
     out = np.zeros(len(data), dtype=bool)

@@ -1,9 +1,9 @@
-"""Method 3 of the PINN paper: three loops around least squares (Han, Wu, Liu & Xiong, T-RO 2020).
+"""Method 3 of the PINN paper: three nested loops (Han, Wu, Liu & Xiong, T-RO 2020).
 
-The outer loop bends friction, fv·|q̇|^α·sign(q̇), one exponent per joint; the middle one reweights
-samples that do not fit (IRLS), each joint in units of its own robust deviation; the inner one keeps
-the robot physically feasible (`hil.estimators.consistent`). The published loops restored from their
-description; each of them can be left out.
+The outer loop fits the exponent of the friction fv·|q̇|^α·sign(q̇) of each joint. The middle loop
+reweights outlying samples (IRLS), relative to the robust standard deviation of their joint. The
+inner loop keeps the robot physically consistent (`hil.estimators.consistent`). The loops are
+implemented from their published description; the outer and the inner loop can be switched off.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from hil.estimators.robust import (
 )
 
 MOST_OUTER = 8
-"""Rounds of the outer loop."""
+"""Maximum number of rounds of the outer loop."""
 
 EXPONENT_SETTLED = 0.01
 NARROWEST = 1e-3
-"""Width [rad/s] within which a power of speed is linear where `sign_width` is 0."""
+"""Speed range [rad/s] in which the power law of the speed is linear if `sign_width` is 0."""
 
 
 class RigidIrls(RigidClassical):
-    """Rigid-body parameters and friction by iteratively reweighted least squares.
+    """Rigid-body parameters and friction, fitted by iteratively reweighted least squares.
 
     Attributes:
-        exponent_: (n,) of viscous friction; its uncertainty is not in `std_error_`.
-        inertial_: (11n,) full parameters; None unless `feasible`.
-        scale_: (n,) robust deviation of each joint's residual [N·m].
-        iterations_: Of the middle loop, all in all.
+        exponent_: (n,) exponent of viscous friction; `std_error_` does not include its uncertainty.
+        inertial_: (11n,) full inertial parameters; None if `feasible` is not set.
+        scale_: (n,) robust standard deviation of each joint's residual [N·m].
+        iterations_: Total number of iterations of the middle loop.
     """
 
     estimator: ClassVar[str] = "rigid-irls"
@@ -60,7 +60,7 @@ class RigidIrls(RigidClassical):
     exponent: bool = parameter(
         True,
         flag,
-        doc="Fit the exponent of viscous friction per joint; False keeps it at 1.",
+        doc="Fit the exponent of viscous friction per joint; False sets the exponent to 1.",
     )
     feasible: bool = parameter(
         True, flag, doc="Keep links and rotors physically consistent and friction dissipative."
@@ -69,29 +69,32 @@ class RigidIrls(RigidClassical):
         MASS_FACTOR,
         number,
         above=1.0,
-        doc="Most mass of a link as a multiple of its nominal one, above 1.",
+        doc="Largest link mass as a multiple of the nominal mass, above 1.",
     )
     prior: float = parameter(
-        PRIOR, number, at_least=0.0, doc="Pull towards the nominal bodies, as in `rigid-lmi`."
+        PRIOR, number, at_least=0.0, doc="Weight of the nominal bodies as prior, as in `rigid-lmi`."
     )
 
     @property
     def certain(self) -> bool:  # type: ignore[override]
-        """Bounds and fitted exponents have no covariance of least squares."""
+        """Whether the standard formula for the covariance of least squares is valid.
+
+        The formula is valid if there are neither bounds nor fitted exponents.
+        """
         return not (self.feasible or self.exponent)
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """Those of every classical method; exponents, scales, and full parameters if any."""
+        """Return the arrays of a classical method, the exponents, scales and full parameters."""
         full = {} if self.inertial_ is None else {"inertial": self.inertial_}
         own = {"exponent": self.exponent_, "scale": self.scale_}
         return super().fitted_arrays() | own | full
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Those of every classical method, and how many iterations it took."""
+        """Return the JSON entries of a classical method, and the number of iterations."""
         return super().fitted_facts() | {"iterations": self.iterations_}
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fitted attributes from the output of `fitted_arrays` and `fitted_facts`."""
         super().restore(arrays, facts)
         self.exponent_, self.scale_ = arrays["exponent"], arrays["scale"]
         self.inertial_ = arrays.get("inertial")
@@ -116,7 +119,7 @@ class RigidIrls(RigidClassical):
         self._adopt(data, fit.solution)
 
     def _consistent(self, solution: Solution) -> FloatArray:
-        """The inner loop: coefficients (p,) of a robot that can exist."""
+        """Return the physically consistent coefficients (p,), computed by the inner loop."""
         bounds = InertialBounds.nominal(self.robot_, mass_factor=self.mass_factor)
         consistent = feasible(solution, self._base, bounds, self.prior)
         self.inertial_ = consistent.inertial
@@ -125,7 +128,7 @@ class RigidIrls(RigidClassical):
         return consistent.coefficients
 
     def _bend(self, data: Dataset, rows: RobustRows, fit: Reweighted) -> float:
-        """One round of the outer loop; returns by how much the exponents moved."""
+        """Run one round of the outer loop, and return the largest change of an exponent."""
         before, b = self.exponent_, self._base.rank
         rest, after = rows.residual(fit.solution.coefficients), before.copy()
         for j in range(len(before)):
@@ -147,7 +150,7 @@ class RigidIrls(RigidClassical):
         return super()._friction(qd) | {"viscous": power_of_speed(qd, self.exponent_, width)}
 
     def _power(self, data: Dataset, exponent: float, joint: int) -> FloatArray:
-        """(N,) viscous column of one joint at an exponent, filtered as the others are."""
+        """Return (N,) the viscous column of a joint for an exponent, filtered by the settings."""
         width = self.sign_width or NARROWEST
         column = power_of_speed(data["qd_f"][:, joint], exponent, width)
         if not self.filter_columns:
@@ -155,7 +158,10 @@ class RigidIrls(RigidClassical):
         return filter_columns(column, data, self.filters)
 
     def _felt(self) -> BoolArray:
-        """(n, p) which joint feels which parameter: no link before its own."""
+        """Return (n, p) a mask of the parameters that affect the torque of each joint.
+
+        The torque of a joint is not affected by links that precede the joint.
+        """
         n, rotor = len(self.joint_names_), True
         q, qd, qdd = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 20, n))
         W = self._base.reduce(self.robot_.regressor(q, qd, qdd, rotor=rotor))

@@ -1,21 +1,24 @@
 """Rigid-body models that are linear in base parameters and friction.
 
-The base regressor of the arm (rotor inertias included) is set beside three friction columns per
-joint, tanh(qd/width), qd and 1, and fitted to K·i. `RigidLinear` holds what is the same for every
-method: what is subtracted (declared loads), how signals are filtered, how a fitted model predicts.
-A method overrides one step: `_estimate`, from compressed observations to coefficients, or
-`_learn`, if it needs every sample.
+The regressor consists of the base regressor of the arm (including rotor inertias) and three
+friction columns per joint, tanh(qd/width), qd and 1. The target is K·i. `RigidLinear` contains the
+common parts of all methods: subtraction of declared payloads, filtering, and prediction. The
+subclass of a method overrides one step: `_estimate` computes coefficients from compressed
+observations, or `_learn` if the method needs every sample.
 
-- `RigidWls` (`rigid-wls`): ordinary least squares first, then again with every joint weighted by
-  the reciprocal variance of its own residual (Jubien, Gautier & Janot 2014, "Method 1" of the PINN
-  paper). On the UR10e recordings of Mamedov & Mikhel, with the filters of `hil.data.filters`, the
-  literature drive gains and a width of 0.01 rad/s, training on 30s12h + 40s12h + 50s12h + 20s8h
-  gives on the whole of 14h50 .234 .327 .172 .045 .052 .040 A raw (mean .1450) and .1145 A against
-  the filtered current; on 30s12h alone tanh gives .1485 and the hard sign .1642.
-- `RigidClassical` adds what a comparison of methods needs: standard errors that know about
-  correlated samples, friction columns filtered like the effort, and a report on the excitation. It
-  is the base of `rigid-lmi` and `rigid-irls` too.
-- `RigidLeastSquares` (`rigid-linear`): OLS, WLS, ridge and total least squares on equal terms.
+- `RigidWls` (`rigid-wls`) computes ordinary least squares, followed by least squares with every
+  joint weighted by the reciprocal variance of its residual (Jubien, Gautier & Janot 2014, "Method
+  1" of the PINN paper). Reference results on the UR10e recordings of Mamedov & Mikhel use the
+  filters of `hil.data.filters`, the drive gains of the literature and a width of 0.01 rad/s. For
+  the UR10e, training on 30s12h + 40s12h + 50s12h + 20s8h gives an RMSE on the whole of 14h50 of
+  .234 .327 .172 .045 .052 .040 A raw (mean .1450) and .1145 A against the filtered current.
+  Training on 30s12h alone gives a mean RMSE of .1485 with tanh and of .1642 with the discontinuous
+  sign.
+- `RigidClassical` adds features for the comparison of methods: standard errors for correlated
+  samples, friction columns filtered like the effort, and a report on the excitation.
+  `RigidClassical` is also the base of `rigid-lmi` and `rigid-irls`.
+- `RigidLeastSquares` (`rigid-linear`) fits by OLS, WLS, ridge or total least squares under equal
+  conditions.
 """
 
 from __future__ import annotations
@@ -73,28 +76,28 @@ from hil.estimators.least_squares import (
 from hil.estimators.parameters import choice, flag, number, parameter, settings
 
 TERMS = ("coulomb", "viscous", "offset")
-"""Friction columns per joint."""
+"""Names of the friction columns of each joint."""
 
 
 SIGN_WIDTH = parameter(
     0.01,
     number,
     at_least=0.0,
-    doc="Width of the tanh that stands for sign(qd) [rad/s]; 0 for the hard sign.",
+    doc="Width of the tanh that approximates sign(qd) [rad/s]; 0 for the exact sign.",
 )
 FILTERS = parameter(
     None,
     settings,
     FilterSettings,
-    doc="Preprocessing of training and prediction alike, a `FilterSettings` or its dict.",
+    doc="Preprocessing for training and prediction: a `FilterSettings` object or its dict.",
 )
 
 
 class RigidLinear(WlsEstimator):
-    """Base of the estimators of base rigid-body parameters and Coulomb–viscous friction.
+    """Base class of estimators of base rigid-body parameters and Coulomb–viscous friction.
 
     Attributes:
-        parameter_names_: Base parameters, then `coulomb`, `viscous`, `offset` per joint.
+        parameter_names_: Base parameters, followed by `coulomb`, `viscous`, `offset` of each joint.
     """
 
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",), ("move",))
@@ -103,20 +106,20 @@ class RigidLinear(WlsEstimator):
     filters: FilterSettings = FILTERS
 
     def _estimate(self, observed: JointwiseQR) -> Solution:
-        """The step in which methods differ: coefficients from compressed observations."""
+        """Return the coefficients from compressed observations; subclasses override this step."""
         return jointwise_least_squares(observed, weighted=True)
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what a fit cannot do without: as many samples as parameters, and drive gains."""
+        """Return the minimum data requirements: as many samples as parameters, and drive gains."""
         links = base_parameters(robot, rotor=True).rank
         return Needs({"samples": links + robot.n * len(self._joint_terms())}, gains=True)
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit to every series given; declared loads are subtracted from the target.
+        """Fit the model to all series; the torques of declared payloads are subtracted.
 
         Raises:
-            FitError: The data are too few, not finite, of another robot or unit, hold efforts
-                that cannot be, or do not excite all parameters.
+            FitError: The data are too few, not finite, or are of a different robot or unit, contain
+                impossible efforts, or do not excite all parameters.
             DataError: A series cannot be filtered.
         """
         require_robot(dataset, robot)
@@ -132,17 +135,17 @@ class RigidLinear(WlsEstimator):
         return self
 
     def predict(self, dataset: Dataset) -> Prediction:
-        """Effort per row from the filtered motion, split into its physical parts.
+        """Return the effort of every row from the filtered motion, and its physical components.
 
         Raises:
-            DataError: The data are of another robot or unit, or cannot be filtered.
+            DataError: The data are of a different robot or unit, or cannot be filtered.
         """
         self.require_match(dataset)
         data = prepared(dataset, self.filters)
         return self._predict(data, *(data[name] for name in MOTION))
 
     def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
-        """Friction at velocities (N, n) [rad/s]."""
+        """Return the friction torque at velocities (N, n) [rad/s]."""
         columns = np.stack(list(self._friction(qd).values()), axis=-1)
         of_joints = (-1, len(TERMS))
         values, errors = (
@@ -152,15 +155,15 @@ class RigidLinear(WlsEstimator):
         return curve_of(TERMS, columns, values, errors)
 
     def _training_rows(self, dataset: Dataset) -> Dataset:
-        """Prepared data, as many rows of them as the filters ask for."""
+        """Return the prepared rows for the fit, down-sampled as the filter settings require."""
         return training_rows(dataset, self.filters)
 
     def _learn(self, data: Dataset) -> None:
-        """Fit to prepared data; sets the fitted attributes."""
+        """Fit the model to prepared data, and set the fitted attributes."""
         self._adopt(data, self._estimate(self._compressed(data)))
 
     def _joint_terms(self) -> tuple[str, ...]:
-        """Return the names of the terms that each joint has of its own."""
+        """Return the names of the friction terms of each joint."""
         return TERMS
 
     def _open(self) -> None:
@@ -180,11 +183,11 @@ class RigidLinear(WlsEstimator):
             yield rows, np.hstack([W, friction]), target[rows]
 
     def _friction_terms(self, data: Dataset) -> dict[str, FloatArray]:
-        """The friction columns of the fit by name, each (N, n)."""
+        """Return the friction columns used in the fit by name, each (N, n)."""
         return self._friction(data["qd_f"])
 
     def _friction(self, qd: FloatArray) -> dict[str, FloatArray]:
-        """Friction terms of velocities (N, n) by name, each (N, n)."""
+        """Return the friction terms for velocities (N, n) by name, each (N, n)."""
         return friction_terms(qd, self.sign_width)
 
     def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
@@ -200,7 +203,7 @@ class RigidLinear(WlsEstimator):
 
 
 class RigidWls(RigidLinear):
-    """Base rigid-body parameters and Coulomb–viscous friction, joints weighted."""
+    """Base rigid-body parameters and Coulomb–viscous friction, fitted by weighting the joints."""
 
     estimator: ClassVar[str] = "rigid-wls"
 
@@ -208,7 +211,7 @@ class RigidWls(RigidLinear):
     weighted: bool = parameter(
         True,
         flag,
-        doc="Weight the joints by their residual; False stops after ordinary least squares.",
+        doc="Weight the joints by their residuals; False uses ordinary least squares.",
     )
     filters: FilterSettings = FILTERS
 
@@ -220,39 +223,39 @@ Covariance = Literal["hac", "clustered"]
 COVARIANCES = ("hac", "clustered")
 
 FILTERED = "filtered "
-"""Columns of a dataset: friction terms, filtered before rows are left out."""
+"""Prefix of dataset columns with friction terms that were filtered before down-sampling."""
 
 MEANING = {
-    "hac": "Newey and West's covariance, over lags up to ten correlation times of the residual and "
+    "hac": "Newey-West covariance, over lags up to ten correlation times of the residual and "
     "between joints",
-    "clustered": "clustered by trajectory, corrected for few of them (CR2, Satterthwaite's t)",
+    "clustered": "clustered by trajectory, with small-sample correction (CR2, Satterthwaite's t)",
 }
 
 
 class RigidClassical(RigidLinear):
-    """Base of `rigid-linear`, `rigid-lmi` and `rigid-irls`.
+    """Base class of `rigid-linear`, `rigid-lmi` and `rigid-irls`.
 
     Attributes:
-        covariance_: (p, p) of the coefficients; NaN where a method gives none.
-        degrees_: (p,) degrees of freedom of Student's t for intervals.
-        excitation_: Condition numbers, the worst determined directions and, where the method is
-            least squares, how many parameters are essential.
+        covariance_: (p, p) covariance of the coefficients; NaN if the method does not provide it.
+        degrees_: (p,) degrees of freedom of Student's t distribution for confidence intervals.
+        excitation_: Report with the condition numbers, the least determined directions and, for
+            least-squares methods, the number of essential parameters.
     """
 
     sign_width: float = SIGN_WIDTH
     filter_columns: bool = parameter(
-        True, flag, doc="Run the friction columns through the filter of the effort."
+        True, flag, doc="Filter the friction columns with the filter of the effort."
     )
     covariance: Covariance = parameter(
-        "hac", choice, COVARIANCES, doc="What standard errors allow for, `hac` or `clustered`."
+        "hac", choice, COVARIANCES, doc="Covariance for the standard errors: `hac` or `clustered`."
     )
     filters: FilterSettings = FILTERS
 
     certain: ClassVar[bool] = True
-    """Whether the covariance of least squares is that of the method."""
+    """Whether the standard formula for the covariance of least squares is valid."""
 
     bends: ClassVar[bool] = False
-    """Whether the fit changes the form of its friction columns, so that they cannot be kept."""
+    """Whether the fit changes the form of its friction columns, which then cannot be stored."""
 
     covariance_: FloatArray
     degrees_: FloatArray
@@ -260,36 +263,36 @@ class RigidClassical(RigidLinear):
 
     @property
     def base(self) -> BaseParameters:
-        """The base parameters, in the order of the first coefficients."""
+        """Base parameters, in the order of the first coefficients."""
         return self._base
 
     def interval(self, level: float = 0.95) -> FloatArray:
-        """(p, 2) ends between which a coefficient lies with probability `level`."""
+        """Return (p, 2) the confidence intervals of the coefficients at `level`."""
         return interval(self.coefficients_, self.std_error_, self.degrees_, level)
 
     def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
-        """Friction at velocities (N, n) [rad/s]; its standard error NaN unless `certain`."""
+        """Return the friction at velocities (N, n) [rad/s]; no standard errors unless `certain`."""
         curve = super().friction_curve(qd)
         if curve is None or self.certain:
             return curve
-        # Bounds, penalties and exponents move coefficients by more than least squares tells.
+        # Bounds, penalties and exponents change coefficients by more than their standard errors.
         return replace(curve, std_error=np.full_like(curve.torque, np.nan))
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """Those of every linear model, with the whole covariance."""
+        """Return the arrays of a linear model, and the covariance matrix."""
         return super().fitted_arrays() | {
             "covariance": self.covariance_,
             "degrees": self.degrees_,
         }
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Those of every linear model; what the errors allow for, and the excitation."""
+        """Return the entries of a linear model, the kind of standard errors and the excitation."""
         facts = super().fitted_facts()
         facts["std_error"]["method"] = MEANING[self.covariance]
         return facts | {"excitation": self.excitation_}
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fitted attributes from the output of `fitted_arrays` and `fitted_facts`."""
         super().restore(arrays, facts)
         self.covariance_, self.degrees_ = arrays["covariance"], arrays["degrees"]
         self.excitation_ = dict(facts.get("excitation", {}))
@@ -298,11 +301,11 @@ class RigidClassical(RigidLinear):
         if self.covariance == "clustered" and len(dataset.conditions) < 2:
             raise FitError(
                 "standard errors clustered by trajectory need at least two trajectories",
-                hint="record more of them, or choose covariance: hac",
+                hint="record more trajectories, or choose covariance: hac",
             )
         data = prepared(dataset, self.filters)
         if self.filters.downsamples and self.filter_columns and not self.bends:
-            # Left for later, steps would have folded, and the ends be filtered unlike the effort.
+            # After down-sampling, steps would be aliased and the ends filtered unlike the effort.
             terms = self._friction_terms(data)
             data = data.with_columns(**{FILTERED + name: term for name, term in terms.items()})
         return downsample(data, self.filters)
@@ -334,7 +337,7 @@ class RigidClassical(RigidLinear):
         report = condition_report(X, self.parameter_names_).facts()
         if not self.certain:
             return report
-        # Samples that repeat each other count once, for the test to be as strict as it says.
+        # Correlated samples count once, so that the test has its nominal level.
         times = self.correlated_samples_
         root = np.sqrt(times)[solution.system[2]]
         independent = float(np.sum(samples / times))
@@ -343,9 +346,10 @@ class RigidClassical(RigidLinear):
         return report | {"essential": essential.facts()}
 
     def _scores(self, data: Dataset, solution: Solution) -> tuple[Scores, FloatArray]:
-        """Scores of the weighted least squares, and the residual (N, n).
+        """Return the scores of the weighted least-squares fit, and its residual (N, n).
 
-        Only clustered errors ask for XᵀWX of every series; otherwise it stays 0.
+        The matrix XᵀWX of each series is computed only if the errors are clustered, and is 0 if
+        not.
         """
         p = len(solution.coefficients)
         score, gram = np.empty((len(data), p)), np.zeros((len(data.conditions), p, p))
@@ -357,7 +361,7 @@ class RigidClassical(RigidLinear):
             drive, curvature = self._sample_weights(rest, solution)
             cube = W.reshape(*rest.shape, p)
             score[rows] = np.einsum("tjp,tj->tp", cube, drive * rest)
-            if self.covariance == "clustered":  # costs as much as the fit itself
+            if self.covariance == "clustered":  # takes as long as the fit
                 weighted = cube * curvature[:, :, None]
                 for number, own in _series_in(series[rows]):
                     gram[number] += np.tensordot(cube[own], weighted[own], ((0, 1), (0, 1)))
@@ -366,13 +370,16 @@ class RigidClassical(RigidLinear):
     def _sample_weights(
         self, rest: FloatArray, solution: Solution
     ) -> tuple[FloatArray, FloatArray]:
-        """ψ(r)/r and ψ′(r) of residuals (N, n), each (N, n): equal where squares are minimised."""
+        """Return the weight ψ(r)/r and the sensitivity ψ′(r) of residuals (N, n), each (N, n).
+
+        For a quadratic loss, ψ(r)/r and ψ′(r) are equal.
+        """
         weight = np.broadcast_to(solution.weight, rest.shape)
         return weight, weight
 
 
 def _series_in(series: IntArray) -> list[tuple[int, slice]]:
-    """Numbers of the series and their rows, of successive rows with these numbers (N,)."""
+    """Return number and rows of each series, from the series numbers of successive rows (N,)."""
     ends = [0, *(np.flatnonzero(np.diff(series)) + 1).tolist(), len(series)]
     return [(int(series[i]), slice(i, j)) for i, j in pairwise(ends) if j > i]
 
@@ -381,19 +388,20 @@ Method = Literal["ols", "wls", "ridge", "tls"]
 METHODS = ("ols", "wls", "ridge", "tls")
 
 KNOWN_EXACTLY = 1e-9
-"""Noise below this share of a column's mean square root counts as none."""
+"""Share of the norm of a column below which the noise of this column counts as zero."""
 
 
 class RigidLeastSquares(RigidClassical):
-    """Base rigid-body parameters and Coulomb–viscous friction by a linear method.
+    """Base rigid-body parameters and Coulomb–viscous friction, fitted by a linear method.
 
-    All methods see the same filters, the same smooth sign and, but for `ols`, joints weighted by
-    the reciprocal variance of their residual.
+    All methods of `rigid-linear` use the same filters and the same smoothed sign. All methods of
+    `rigid-linear` except `ols` weight the joints by the reciprocal variance of their residual.
 
     Attributes:
-        covariance_, std_error_: NaN for `ridge` and `tls`.
-        alpha_: Penalty of `ridge`; 0 for the others.
-        gap_: How far `tls` is from ill-posed, see `total_least_squares`; else inf.
+        covariance_, std_error_: Covariance and standard errors; NaN for `ridge` and `tls`.
+        alpha_: Penalty that `ridge` chose; 0 for the other methods.
+        gap_: Distance of `tls` from an ill-posed problem, see `total_least_squares`; infinite for
+            the other methods.
     """
 
     estimator: ClassVar[str] = "rigid-linear"
@@ -406,8 +414,8 @@ class RigidLeastSquares(RigidClassical):
         number,
         at_least=0.0,
         optional=True,
-        doc="Penalty of `ridge` as a share of each column's sum of squares; by default the one "
-        "that predicts best a trajectory left out of the training.",
+        doc="Penalty of `ridge` as a share of each column's sum of squares; by default the value "
+        "with the smallest error in cross-validation over the training trajectories.",
     )
 
     def _check_together(self) -> None:
@@ -419,16 +427,20 @@ class RigidLeastSquares(RigidClassical):
 
     @property
     def certain(self) -> bool:  # type: ignore[override]
-        """A penalty pulls, and noise in columns biases, by more than any scatter tells."""
+        """Whether the standard errors of least squares are valid: only for `ols` and `wls`.
+
+        For `ridge`, the penalty causes a bias that exceeds the scatter, and so does the column
+        noise for `tls`.
+        """
         return self.method in ("ols", "wls")
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Those of every classical method, with what the method chose."""
+        """Return the JSON entries of a classical method, and the values that the method chose."""
         own = {"ridge": {"alpha": self.alpha_}, "tls": {"gap": self.gap_}}
         return super().fitted_facts() | own.get(self.method, {})
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fitted attributes from the output of `fitted_arrays` and `fitted_facts`."""
         super().restore(arrays, facts)
         self.alpha_ = float(facts.get("alpha", 0.0))
         self.gap_ = float(facts.get("gap") or np.inf)
@@ -440,7 +452,7 @@ class RigidLeastSquares(RigidClassical):
 
     def _learn(self, data: Dataset) -> None:
         self.alpha_, self.gap_ = 0.0, float("inf")
-        # What only these methods need of the single rows; compressed observations lack it.
+        # Only these methods need single rows, which compressed observations do not contain.
         chooses = self.method == "ridge" and self.alpha is None
         self._parts_of = self._by_trajectory(data) if chooses else []
         self._noise = self._noise_of(data) if self.method == "tls" else None
@@ -474,10 +486,10 @@ class RigidLeastSquares(RigidClassical):
 
     def _total(self, solution: Solution, X: FloatArray, y: FloatArray) -> FloatArray:
         assert self._noise is not None
-        # (n, p + 1) noise per joint, as it is in weighted rows, pooled over the joints.
+        # (n, p + 1) noise per joint, scaled like the weighted rows and pooled over the joints.
         noise = np.sqrt(np.mean(solution.weight[:, None] * self._noise**2, axis=0))
         columns, target = noise[:-1], float(noise[-1])
-        # Rows of the compressed system are worth many samples each; only ratios matter.
+        # Rows of the compressed system represent many samples each; only ratios matter.
         exact = columns <= KNOWN_EXACTLY * np.linalg.norm(X, axis=0)
         best = total_least_squares(X, y, columns, target, exact)
         self.gap_ = best.gap
@@ -485,14 +497,14 @@ class RigidLeastSquares(RigidClassical):
         return best.coefficients
 
     def _penalised(self, p: int) -> BoolArray:
-        """(p,) all but the offsets."""
+        """Return (p,) a mask of the penalised coefficients: all except the offsets."""
         keep = np.ones(p, dtype=bool)
         offsets = p - len(TERMS) * len(self.joint_names_) + TERMS.index("offset")
         keep[offsets :: len(TERMS)] = False
         return keep
 
     def _noise_of(self, data: Dataset) -> FloatArray:
-        """(n, p + 1) standard deviation of the noise on each joint's columns and target."""
+        """Return (n, p + 1) the noise standard deviation of each joint's columns and target."""
         n = data.n_joints
         squares, count = np.zeros((n, len(self.parameter_names_) + 1)), 0
         series = data.series_index()
@@ -505,12 +517,12 @@ class RigidLeastSquares(RigidClassical):
         return np.sqrt(squares / max(count, 1))
 
     def _by_trajectory(self, data: Dataset) -> list[JointwiseQR]:
-        """The observations of every trajectory by itself."""
+        """Return the compressed observations of each trajectory."""
         groups = dict.fromkeys(group_of(condition, "trajectory") for condition in data.conditions)
         if len(groups) < 2:
             raise FitError(
                 "ridge chooses alpha by leaving trajectories out, and there is only one",
-                hint="give alpha, or more trajectories",
+                hint="set alpha, or pass more trajectories",
             )
         return [self._compressed(data.select(partial(_belongs, group))) for group in groups]
 

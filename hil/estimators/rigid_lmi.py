@@ -1,8 +1,8 @@
-"""Method 2 of the PINN paper: least squares over robots that can exist (Sousa & Cortesão).
+"""Method 2 of the PINN paper: least squares under physical consistency (Sousa & Cortesão).
 
-Every link's pseudo-inertia is positive definite and within bounds, rotor inertias and friction
-coefficients are not below 0; see `hil.estimators.consistent`. The full inertial parameters come
-with it, so that mass matrices are positive definite at every pose and a URDF can be written.
+The pseudo-inertia of every link is positive definite and within bounds; rotor inertias and friction
+coefficients are at least 0 (`hil.estimators.consistent`). The fit also returns the full inertial
+parameters, so that its mass matrices are positive definite at every pose and a URDF can be written.
 """
 
 from __future__ import annotations
@@ -27,23 +27,29 @@ from hil.estimators.parameters import flag, number, parameter
 from hil.estimators.rigid_linear import TERMS, RigidClassical
 
 PRIOR = 100.0
-"""Chosen on the UR10e's four training trajectories, each left out in turn; 1 and 1000 do as well to
-one part in four hundred, but with 1 links come out thinner than they can be built."""
+"""Default weight of the prior on the nominal links.
+
+The default weight was chosen on four UR10e training trajectories, each held out in turn. Weights of
+1 and 1000 give the same error within one part in four hundred, but with a weight of 1, links become
+unrealistically thin.
+"""
 
 
 def feasible(
     solution: Solution, base: BaseParameters, bounds: InertialBounds, prior: float
 ) -> Consistent:
-    """The consistent solution with the least sum of squares in the weighting of another one.
+    """Return the physically consistent solution with the smallest weighted sum of squares.
 
     Args:
-        solution: Without constraints; base parameters first, then `TERMS` joint by joint.
+        solution: Unconstrained solution that defines the weights of the joints; base parameters
+            first, followed by `TERMS` of each joint.
         base: Base parameters of the robot.
-        bounds: Of its links.
-        prior: See `RigidLmi`.
+        bounds: Bounds on the inertial parameters of the links.
+        prior: Weight of the prior on the nominal links, see `RigidLmi`.
     """
     X, y = solution.weighted_system()
-    # Unweighted rows are in N·m: in standard deviations the prior means the same for both.
+    # The rows are scaled to standard deviations, so that the prior has the same meaning with and
+    # without joint weights.
     sigma = at_least_rounding(solution.sigma, solution.system[1])
     pooled = np.sqrt(np.mean(solution.weight * sigma**2))
     return consistent_least_squares(
@@ -57,18 +63,20 @@ def feasible(
 
 
 def dissipative(columns: int) -> IntArray:
-    """Which of the friction columns of all joints take energy out: Coulomb and viscous."""
+    """Return the indices of the dissipative friction columns of all joints: Coulomb and viscous."""
     return np.flatnonzero(np.arange(columns) % len(TERMS) != TERMS.index("offset"))
 
 
 class RigidLmi(RigidClassical):
-    """Physically consistent rigid-body parameters and Coulomb–viscous friction.
+    """Physically consistent rigid-body parameters, fitted together with Coulomb–viscous friction.
 
     Attributes:
-        inertial_: (11n,) in the order of `RobotModel.parameters(rotor=True)`.
-        least_eigenvalue_: Smallest eigenvalue of any pseudo-inertia relative to its nominal one.
-        covariance_: NaN: bounds have no such thing. `std_error_` is that of least squares without
-            constraints, an upper bound.
+        inertial_: (11n,) full parameters in the order of `RobotModel.parameters(rotor=True)`.
+        least_eigenvalue_: Smallest eigenvalue of a pseudo-inertia relative to that of the nominal
+            link.
+        covariance_: Array of NaN, because the covariance is undefined under constraints. The
+            attribute `std_error_` contains the standard error of unconstrained least squares, an
+            upper bound.
     """
 
     estimator: ClassVar[str] = "rigid-lmi"
@@ -79,36 +87,36 @@ class RigidLmi(RigidClassical):
     weighted: bool = parameter(
         False,
         flag,
-        doc="Weight the joints by their residual; False is the method as published.",
+        doc="Weight the joints by their residuals; False is the published method.",
     )
     mass_factor: float = parameter(
         MASS_FACTOR,
         number,
         above=1.0,
-        doc="Most mass of a link as a multiple of its nominal one, above 1.",
+        doc="Largest link mass as a multiple of the nominal mass, above 1.",
     )
     prior: float = parameter(
         PRIOR,
         number,
         at_least=0.0,
-        doc="Pull towards the nominal bodies: 1 counts a link's being off by 100 % like one more "
-        "sample; 0 for none.",
+        doc="Weight of the nominal bodies as prior: with 1, a deviation of a link by 100 % counts "
+        "as one additional sample; with 0, there is no prior.",
     )
 
     def extras(self) -> dict[str, str]:
-        """A solver of semidefinite programs."""
+        """Return the optional dependency that provides a semidefinite-programming solver."""
         return IDENTIFY
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """Those of every classical method, and the full inertial parameters."""
+        """Return the arrays of a classical method, and the full inertial parameters."""
         return super().fitted_arrays() | {"inertial": self.inertial_}
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Those of every classical method, and how far the links are from impossible."""
+        """Return the JSON entries of a classical method, and the smallest relative eigenvalue."""
         return super().fitted_facts() | {"least_eigenvalue": self.least_eigenvalue_}
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fitted attributes from the output of `fitted_arrays` and `fitted_facts`."""
         super().restore(arrays, facts)
         self.inertial_ = arrays["inertial"]
         require_sizes(self, inertial=11 * self.robot_.n)

@@ -1,10 +1,10 @@
-"""Robust regression: losses that grow slower than squares, by iteratively reweighted least squares.
+"""Robust regression with Huber's or Tukey's loss, by iteratively reweighted least squares.
 
-`Reweighting` alternates between least squares and weights until both agree: each sample weighs
-less, the further its residual lies out in units of its joint's own robust deviation. All samples
-are needed again in every round, so they stay in memory (`RobustRows`), joint by joint and without
-the columns that a joint cannot feel. Huber's loss is convex; Tukey's, which ignores outliers
-altogether, is not and therefore starts from Huber's solution.
+`Reweighting` alternates between a least-squares fit and new weights until both converge. The weight
+of a sample decreases with its residual, relative to the robust standard deviation of its joint.
+Because every round needs all samples, `RobustRows` stores them in memory, joint by joint, without
+columns that do not affect a joint. Huber's loss is convex. Tukey's loss ignores large outliers
+completely and is not convex; its iteration therefore starts from Huber's solution.
 """
 
 from __future__ import annotations
@@ -27,30 +27,33 @@ Loss = Literal["huber", "tukey"]
 LOSSES = ("huber", "tukey")
 
 HUBER, TUKEY = 1.345, 4.685
-"""Tuning constants at which 95 % of the efficiency on Gaussian errors is kept."""
+"""Tuning constants of the losses for an efficiency of 95 % with Gaussian errors."""
 
 NORMAL = 1.4826
-"""Standard deviation of a normal variable over its median absolute deviation."""
+"""Ratio of standard deviation to median absolute deviation for a normal distribution."""
 
 
 MOST, MOST_CONSTRAINED = 100, 10
-"""Rounds of least squares, and of least squares under constraints behind them."""
+"""Maximum number of rounds without constraints, and of subsequent rounds with constraints."""
 
 SETTLED, SETTLED_CONSTRAINED = 1e-5, 1e-3
-"""Change of the prediction, as a share of the residual, at which the rounds end."""
+"""Relative change of the prediction at which the rounds end, without and with constraints.
+
+The change of the prediction is relative to the robust standard deviation of the residual.
+"""
 
 Constrain = Callable[[Solution], FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reweighted:
-    """Where the weights have settled.
+    """Converged solution of a reweighted least-squares problem.
 
     Attributes:
-        solution: With the deviations `scale` as weights of the joints.
-        scale: (n,) robust deviation of each joint's residual.
-        weight: (N, n) of the samples, between 0 and 1.
-        iterations: Rounds it took.
+        solution: Least-squares solution with joint weights from `scale`.
+        scale: (n,) robust standard deviation of each joint's residual.
+        weight: (N, n) weights of the samples, between 0 and 1.
+        iterations: Number of rounds that were computed.
     """
 
     solution: Solution
@@ -60,20 +63,21 @@ class Reweighted:
 
 
 class Reweighting:
-    """Least squares, again and again, with the weights its own residual asks for.
+    """Iteration of least-squares fits with weights from the residual of the previous fit.
 
     Args:
-        rows: Observations; they may be changed between runs.
-        loss: Which weights.
-        constrain: From a solution to coefficients under constraints, or None. It comes in once the
-            weights have settled without it, and they settle again.
+        rows: Observations; their values may be changed between runs.
+        loss: Loss function that defines the weights.
+        constrain: Function from a solution to constrained coefficients; None for no constraint. The
+            constraint is applied after the weights have converged without constraint; then the
+            iteration is repeated with the constraint.
     """
 
     def __init__(self, rows: RobustRows, loss: Loss, constrain: Constrain | None = None) -> None:
         self._rows, self._loss, self._constrain = rows, loss, constrain
 
     def run(self, start: Reweighted | None) -> Reweighted:
-        """Weights and coefficients that agree, from a start, or from least squares."""
+        """Return the converged weights and coefficients, from a start or from least squares."""
         begun = self._begin() if start is None else start
         fit = self._settle(begun, self._loss, None, MOST)
         if self._constrain is not None:
@@ -81,7 +85,7 @@ class Reweighting:
         return replace(fit, solution=self._with_uncertainty(fit))
 
     def _begin(self) -> Reweighted:
-        """Least squares, joints weighted; for Tukey, which is not convex, Huber's solution."""
+        """Return the initial solution: weighted least squares, or Huber's solution for `tukey`."""
         ones = np.ones_like(self._rows.target)
         fit = self._solved(ones[0], ones, None, 0)
         fit = self._solved(self._scale(fit), ones, None, 0)
@@ -120,7 +124,7 @@ class Reweighting:
         return Reweighted(solution, scale, weight, rounds)
 
     def _with_uncertainty(self, fit: Reweighted) -> Solution:
-        """The solution with plain deviations, and the bread of the loss's own curvature."""
+        """Return the solution, its standard deviations and the inverse curvature of the loss."""
         rest = self._rows.residual(fit.solution.coefficients)
         slope = influence_slope(rest / fit.scale, self._loss)
         gram = self._rows.gram(slope / fit.scale**2)
@@ -129,8 +133,8 @@ class Reweighting:
             bread = np.linalg.inv(gram * np.outer(length, length)) * np.outer(length, length)
         except np.linalg.LinAlgError as error:
             raise FitError(
-                "too few samples fit the model to tell how certain its parameters are",
-                hint="choose loss: huber, or look at the data: most of them look like outliers",
+                "too few samples agree with the model to compute standard errors of its parameters",
+                hint="choose loss: huber, or check the data: most samples are outliers",
             ) from error
         degrees = max(len(rest) - self._rows.p / rest.shape[1], 1.0)
         sigma = np.sqrt(np.sum(rest**2, axis=0) / degrees)
@@ -144,7 +148,7 @@ class Reweighting:
 
 
 def robust_weights(z: FloatArray, loss: Loss) -> FloatArray:
-    """ψ(z)/z of residuals in standard deviations: 1 at 0, less further out."""
+    """Return ψ(z)/z of residuals in standard deviations: 1 at 0, smaller for large residuals."""
     size = np.abs(z)
     if loss == "huber":
         return np.asarray(HUBER / np.maximum(size, HUBER))
@@ -152,7 +156,7 @@ def robust_weights(z: FloatArray, loss: Loss) -> FloatArray:
 
 
 def influence_slope(z: FloatArray, loss: Loss) -> FloatArray:
-    """ψ′(z): how much an observation still counts where it is."""
+    """Return ψ′(z), the sensitivity of the fit to an observation with residual z."""
     size = np.abs(z)
     if loss == "huber":
         return np.asarray(size <= HUBER, dtype=np.float64)
@@ -161,19 +165,19 @@ def influence_slope(z: FloatArray, loss: Loss) -> FloatArray:
 
 
 def robust_scale(residual: FloatArray) -> FloatArray:
-    """(n,) standard deviation of residuals (N, n) about 0 that outliers leave alone (MAD)."""
+    """Return (n,) the standard deviation of residuals (N, n) about 0 from their median (MAD)."""
     return np.asarray(NORMAL * np.median(np.abs(residual), axis=0))
 
 
 @dataclass(slots=True, eq=False)
 class RobustRows:
-    """Regressor and target in memory, without the columns a joint cannot feel.
+    """Regressor and target in memory, without columns that do not affect a joint.
 
     Attributes:
-        columns: Per joint (k_j,) numbers of its columns, ascending.
-        blocks: Per joint (N, k_j).
-        target: (N, n).
-        p: Number of all columns.
+        columns: Column indices (k_j,) of each joint, ascending.
+        blocks: Regressor (N, k_j) of each joint.
+        target: (N, n) target.
+        p: Total number p of columns.
     """
 
     columns: list[IntArray]
@@ -185,7 +189,10 @@ class RobustRows:
     def of(
         observations: Iterable[tuple[slice, FloatArray, FloatArray]], felt: BoolArray
     ) -> RobustRows:
-        """Collect W (N·n, p) and targets (N, n); `felt` (n, p) says which joint feels what."""
+        """Add the rows of W (N·n, p) and the targets (N, n).
+
+        The mask `felt` (n, p) states which columns affect each joint.
+        """
         joints, p = felt.shape
         columns: list[IntArray] = [np.flatnonzero(own) for own in felt]
         pieces: list[list[FloatArray]] = [[] for _ in range(joints)]
@@ -198,18 +205,18 @@ class RobustRows:
         return RobustRows(columns, [np.concatenate(x) for x in pieces], np.concatenate(targets), p)
 
     def residual(self, coefficients: FloatArray) -> FloatArray:
-        """(N, n) target less prediction."""
+        """Return (N, n) the target minus the prediction."""
         predicted = [
             block @ coefficients[own] for block, own in zip(self.blocks, self.columns, strict=True)
         ]
         return np.asarray(self.target - np.stack(predicted, axis=1))
 
     def replace(self, joint: int, column: int, values: FloatArray) -> None:
-        """Put other values (N,) into one column of one joint."""
+        """Replace one column of one joint by other values (N,)."""
         self.blocks[joint][:, int(np.searchsorted(self.columns[joint], column))] = values
 
     def system(self, weight: FloatArray) -> System:
-        """A small system with the weighted rows' Gram matrix; weights (N, n), none below 0."""
+        """Return a small system with the Gram matrix of rows that have weights (N, n) ≥ 0."""
         X, y, joint = [], [], []
         for j, (block, own) in enumerate(zip(self.blocks, self.columns, strict=True)):
             root = gram_root(np.column_stack([block, self.target[:, j]]), weight[:, j])
@@ -221,7 +228,7 @@ class RobustRows:
         return np.vstack(X), np.concatenate(y), np.concatenate(joint)
 
     def gram(self, weight: FloatArray) -> FloatArray:
-        """(p, p) XᵀWX, also for weights (N, n) below 0."""
+        """Return (p, p) the matrix XᵀWX, also for negative weights (N, n)."""
         total = np.zeros((self.p, self.p))
         for j, (block, own) in enumerate(zip(self.blocks, self.columns, strict=True)):
             total[np.ix_(own, own)] += (block * weight[:, j, None]).T @ block
@@ -229,9 +236,10 @@ class RobustRows:
 
 
 def gram_root(matrix: FloatArray, weight: FloatArray) -> FloatArray:
-    """(k, k) R with RᵀR = Mᵀ diag(w) M, by the Gram matrix of scaled columns.
+    """Return (k, k) R with RᵀR = Mᵀ diag(w) M, from the Gram matrix of scaled columns.
 
-    A tenth of the cost of QR; half of the digits are lost, of which regressors need few.
+    The computation from the Gram matrix takes a tenth of the time of QR. Half of the digits are
+    lost by using the Gram matrix, which is acceptable for regressors.
     """
     gram = (matrix * weight[:, None]).T @ matrix
     length = np.sqrt(np.maximum(np.diag(gram), 0.0))

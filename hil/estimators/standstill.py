@@ -1,13 +1,15 @@
-"""What a fitted model says about an arm at rest, whichever estimator made it.
+"""Static quantities of a fitted model, independent of its estimator.
 
-A model predicts the effort of its drives: gravity, an offset, friction. What the parts of that
-prediction mean for the arm itself is told here, in N·m:
+A model predicts the effort of its drives: gravity, an offset and friction. The module `standstill`
+defines the meaning of gravity, offset and dry friction for the arm, in N·m:
 
-- **gravity** (and the load) is what holds the arm up. A brake that takes over holds exactly this.
-- **offset** is what a drive's current shows beside any load: an error of its sensor, a constant of
-  its motor (K₀ of eq. 16 of the static paper), friction that differs between forth and back. A
-  brake does not feel it, while a drive that is to balance the arm has to give it.
-- **dry friction** is what the joints themselves hold before they move.
+- **Gravity** (including the payload) is the torque that holds the arm. A brake must hold exactly
+  the gravity torque.
+- **Offset** is the part of a drive's current that does not depend on the load. The causes of an
+  offset are a sensor error, a constant of the motor (K₀ of eq. 16 of the static paper), and
+  friction that depends on the direction. A brake does not hold the offset, whereas a drive that
+  balances the arm must also produce the offset.
+- **Dry friction** is the torque that the joints hold by friction before they move.
 """
 
 from __future__ import annotations
@@ -24,39 +26,39 @@ from hil.data import Conditions, Dataset
 from hil.estimators.base import RobotEstimator, motion_of
 
 COULOMB, OFFSET = "coulomb", "offset"
-"""Names of a joint's dry friction and offset among the parameters of a model that is linear."""
+"""Names of the dry friction and the offset of a joint among the parameters of a linear model."""
 
 
 @runtime_checkable
 class HasDryFriction(Protocol):
-    """What a model also offers when its dry friction is no parameter `<joint>.coulomb`."""
+    """Interface of a model whose dry friction is not a parameter `<joint>.coulomb`."""
 
     def dry_friction(self) -> FloatArray:
-        """(n,) level of dry friction [N·m], forth and back averaged."""
+        """Return (n,) the level of dry friction [N·m], averaged over both directions."""
 
 
 @runtime_checkable
 class HasBreakAway(Protocol):
-    """A model that distinguishes sticking from sliding."""
+    """Interface of a model that distinguishes static from sliding friction."""
 
     def break_away(self) -> FloatArray:
-        """Return the friction (n,) that an unloaded joint at rest holds before it slides [N·m]."""
+        """Return (n,) the friction [N·m] that an unloaded static joint can hold."""
 
 
 def gravity_torque(
     model: RobotEstimator, q: FloatArray, payload: Payload | None = None
 ) -> FloatArray:
-    """(N, n) torque [N·m] that holds the arm and its load at the positions `q` (N, n).
+    """Return (N, n) the torque [N·m] that holds arm and payload at the positions `q` (N, n).
 
     Args:
-        model: Any fitted model whose prediction has a part `gravity`.
+        model: Fitted model whose prediction has a component `gravity`.
         q: Joint positions [rad].
-        payload: What is mounted; nothing by default.
+        payload: Mounted payload; None for no payload.
 
     Raises:
-        FitError: The model has no gravity of its own, or was fitted to currents without drive
-            gains, so that nobody knows its torques.
-        DataError: `q` has another number of joints.
+        FitError: The model has no gravity component, or was fitted to currents without drive gains,
+            so that its torques are unknown.
+        DataError: The number of positions in `q` differs from the number of joints.
     """
     require_torque(model)
     return at_rest_effort(model, q, payload)["gravity"] * model.torque_scale_
@@ -65,34 +67,37 @@ def gravity_torque(
 def at_rest_effort(
     model: RobotEstimator, q: FloatArray, payload: Payload | None = None
 ) -> Mapping[str, FloatArray]:
-    """The parts `gravity` (load included) and `offset` of the effort at rest, each (N, n).
+    """Return the components `gravity` and `offset` of the static effort, each (N, n).
+
+    The gravity component includes the payload.
 
     Raises:
-        FitError: The model has no gravity of its own.
-        DataError: `q` has another number of joints.
+        FitError: The model has no gravity component.
+        DataError: The number of positions in `q` differs from the number of joints.
     """
     load = payload or Payload()
     parts = dict(model.predict(resting_at(model, np.atleast_2d(q), load)).components)
     if "gravity" not in parts:
-        have = ", ".join(parts) or "no parts at all"
+        have = ", ".join(parts) or "no components"
         raise FitError(
-            f"the model {model.estimator} does not tell gravity from the rest: it predicts {have}",
-            hint="fit an estimator with a gravity part: static-wls, rigid-wls",
+            f"the model {model.estimator} does not predict gravity as a separate component: it "
+            f"predicts {have}",
+            hint="fit an estimator with a gravity component: static-wls, rigid-wls",
         )
     gravity = parts["gravity"] + _load_part(model, parts, q, load)
     if OFFSET in parts:
         return {"gravity": gravity, "offset": parts[OFFSET]}
-    # Dynamic models count it as friction; it is among their parameters all the same.
+    # Dynamic models include the offset in the friction; the parameter exists all the same.
     torque = _per_joint(model, OFFSET)
     offset = np.zeros(gravity.shape[1]) if torque is None else torque / model.torque_scale_
     return {"gravity": gravity, "offset": np.broadcast_to(offset, gravity.shape)}
 
 
 def dry_friction(model: RobotEstimator) -> FloatArray | None:
-    """(n,) level of dry friction [N·m], None where the model or its torques do not say.
+    """Return (n,) the level of dry friction [N·m]; None if unknown.
 
-    It is the friction of a joint that slides; one that sticks holds at least as much while it is
-    as cold as in the recording.
+    The level of dry friction is the friction of a sliding joint. The friction of a static joint is
+    at least as large as this level if the joint is not warmer than in the recording.
     """
     if not model.knows_gains:
         return None
@@ -103,10 +108,10 @@ def dry_friction(model: RobotEstimator) -> FloatArray | None:
 
 
 def holding_friction(model: RobotEstimator) -> FloatArray | None:
-    """Return what the joints at rest hold before they move, (n,) [N·m]; None where not known.
+    """Return (n,) the friction [N·m] that static joints can hold; None if unknown.
 
-    It is the break-away level of a model whose friction has a memory. A model without one has the
-    friction of a joint that slides in its place (`dry_friction`).
+    For a model with friction memory, the returned friction is the break-away friction. For models
+    without friction memory, the sliding friction is returned instead (`dry_friction`).
     """
     if model.knows_gains and isinstance(model, HasBreakAway):
         return model.break_away()
@@ -114,23 +119,23 @@ def holding_friction(model: RobotEstimator) -> FloatArray | None:
 
 
 def require_torque(model: RobotEstimator) -> None:
-    """Refuse a model of currents that nobody can turn into torques.
+    """Raise if a model predicts currents that cannot be converted to torques.
 
     Raises:
-        FitError: It was fitted without drive gains.
+        FitError: The model was fitted without drive gains.
     """
     if not model.knows_gains:
         raise FitError(
-            f"the model {model.estimator} was fitted to currents without drive gains: nobody knows "
-            "how much torque they are",
-            hint="fit again on data that say their drive gains",
+            f"the model {model.estimator} was fitted to currents without drive gains, so currents "
+            "cannot be converted to torques",
+            hint="fit again on data with declared drive gains",
         )
 
 
 def _per_joint(model: RobotEstimator, name: str) -> FloatArray | None:
-    """(n,) parameters `<joint>.<name>` [N·m], None where a joint has none."""
+    """Return (n,) the parameters `<joint>.<name>` [N·m]; None if a joint lacks the parameter."""
     values: Any = getattr(model, "coefficients_", None)
-    if values is None:  # names of parameters alone, as friction with memory has
+    if values is None:  # models of friction with memory only have parameter names
         return None
     known = dict(zip(getattr(model, "parameter_names_", ()), values, strict=True))
     own = [known.get(f"{joint}.{name}") for joint in model.joint_names_]
@@ -140,7 +145,7 @@ def _per_joint(model: RobotEstimator, name: str) -> FloatArray | None:
 def _load_part(
     model: RobotEstimator, parts: Mapping[str, FloatArray], q: FloatArray, load: Payload
 ) -> FloatArray:
-    """(N, n) effort of the load, from the robot model where the prediction has no such part."""
+    """Return (N, n) the effort of the payload, from the robot model if the prediction has none."""
     if load.is_empty:
         return np.zeros_like(parts["gravity"])
     if "payload" in parts:
@@ -152,10 +157,10 @@ def _load_part(
 
 
 def resting_at(model: RobotEstimator, q: FloatArray, load: Payload) -> Dataset:
-    """Positions (N, n) as a recording of an arm that rests there, filters already applied.
+    """Return positions (N, n) as a prepared dataset of a static arm.
 
     Raises:
-        DataError: `q` has another number of joints.
+        DataError: The number of positions in `q` differs from the number of joints.
     """
     n = len(model.joint_names_)
     if q.ndim != 2 or q.shape[1] != n:

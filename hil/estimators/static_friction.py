@@ -1,20 +1,24 @@
-"""Friction of an arm at rest: models that know from where, and how, the arm came to its pose.
+"""Static friction models that use the approach path into each pose.
 
-A joint that slides has friction −F·sign(q̇). When it stops, the bristles of Dahl's model stay bent,
-and a slide back by some tenths of a millirad unbends them. How far a joint slid back is in the
-recording, a tenth of a millirad of it, and says how much of its friction is left. Columns of that
-friction are fitted together with gravity and offset, for all joints at once in N·m; the current of
-the pose that is predicted is nowhere among the inputs.
+The friction of a sliding joint is −F·sign(q̇). If the joint stops, the bristles of Dahl's model
+stay bent; if the joint then slides back by some tenths of a millirad, the bristles relax. The
+recording contains this slide back with a resolution of a tenth of a millirad, and therefore
+determines the remaining friction. The friction columns are fitted together with gravity and offset,
+for all joints at once in N·m. The measured current of a predicted pose is never an input of the
+prediction.
 
-- `StaticFriction` is the base: which columns say something, loads, predictions, streams.
-- `StaticCoulomb` (`static-coulomb`) knows one level of dry friction per joint, i·K = g(q) + offset
-  + Fc·sign(approach), the baseline with a direction. Most of what gravity alone leaves unexplained
-  at rest is this.
-- `StaticHysteresis` (`static-hysteresis`) carries friction states along the measured path. Several
-  lengths side by side describe contacts that let go one after the other; each share may grow with
-  the torque that the gear transmits and change with temperature. A linear correction by the paths,
-  its strength chosen by holding out poses of the *training* data, takes up what their form misses.
-  Where memory does not help on such poses, as without any slide back, it is left out.
+- `StaticFriction` is the base class, which contains the selection of columns, payloads, predictions
+  and streams.
+- `StaticCoulomb` (`static-coulomb`) has a single level of dry friction per joint, i·K = g(q) +
+  offset + Fc·sign(approach). The term Fc·sign(approach) explains most of the static effort that
+  gravity does not explain.
+- `StaticHysteresis` (`static-hysteresis`) computes friction states along the measured path.
+  Friction states with several lengths describe contacts that release one after the other. Each
+  friction term may increase with the torque through the gear and change with temperature. A linear
+  correction, whose inputs are the paths, describes the friction that the terms do not explain; its
+  strength is chosen by holding out poses of the *training* data. If memory does not reduce the
+  error on held-out training poses, for example because no joint slides back, the memory terms are
+  left out.
 """
 
 from __future__ import annotations
@@ -51,25 +55,31 @@ from hil.estimators.static_model import StaticModel, one_row_each, pose_numbers
 from hil.estimators.streaming import ApproachMemory, SampleStream
 
 FIRST_TERMS = ("offset", "coulomb")
-"""What a first fit knows, before loads are known; gravity from it gives the loads."""
+"""Terms of a first fit, from which the gravity torque and thereby the joint loads are computed."""
 
 FARTHEST_LOAD = 2.0
-"""Friction goes with the load up to so many times the largest one in training: a joint that bore
-next to none, as the last one of an arm without a load, knows next to nothing about it."""
+"""Maximum load in the friction columns, as a multiple of the largest load in training.
+
+A joint that had nearly no load in training, such as the last joint of an arm without payload, has
+an uncertain load dependence.
+"""
 
 NOTHING = 1e-9
-"""A column smaller than this everywhere, in its own unit, is none: joint 1 of an upright arm bears
-no load."""
+"""Magnitude below which a column counts as zero, in the unit of the column.
+
+For example, the load columns of joint 1 of an upright arm are zero, because this joint bears no
+load.
+"""
 
 
 class StaticFriction(StaticModel):
-    """Gravity, offset and columns of friction at rest, for all joints at once in N·m.
+    """Base class of static models with gravity, offset and friction columns, in N·m.
 
     Attributes:
-        load_gravity_: (p,) gravity parameters that the loads in the columns are computed with.
+        load_gravity_: (p,) gravity parameters from which the loads in the columns are computed.
         load_limit_: (n,) largest torque in the columns [N·m], see `FARTHEST_LOAD`.
-        celsius_: (n,) mean temperatures in training; NaN where nobody measured them, or they
-            hardly changed.
+        celsius_: (n,) mean joint temperatures in training [°C]; NaN if they were not measured
+            or nearly constant.
         period_: Time between samples in training [s].
     """
 
@@ -86,16 +96,16 @@ class StaticFriction(StaticModel):
 
     @abstractmethod
     def _terms(self, rest: Rest) -> dict[str, FloatArray]:
-        """Columns (D, n) of friction by name, the same names always."""
+        """Return the friction columns (D, n) by name; the names are always the same."""
 
     def _drive_terms(self, q: FloatArray, load: FloatArray) -> dict[str, FloatArray]:
-        """Columns (N, n) by name of what drives do at positions q and loads, both (N, n)."""
+        """Return the columns (N, n) of drive effects by name, for positions and loads (N, n)."""
         return {}
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what a fit cannot do without: two dwells for each of a joint's own terms.
+        """Return the minimum data requirements: two dwells for each parameter of a joint.
 
-        Each pose gives a row to every joint, and every joint has terms of its own.
+        Each pose gives one row per joint, and every joint has separate terms.
         """
         still = np.zeros((1, 1))
         unmoved = Rest(still, still, np.zeros((1, SMOOTHED, 2, 1)), still)
@@ -103,14 +113,14 @@ class StaticFriction(StaticModel):
         return Needs({"dwells": 2 * len(terms)}, gains=True)
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit to the dwells of the data.
+        """Fit the model to the dwells of the data.
 
-        Dwells of which it is not known from where every joint came are left out, and `notes_` says
-        how many.
+        Dwells with an unknown approach direction of any joint are left out; `notes_` reports the
+        number of these dwells.
 
         Raises:
-            FitError: The data are too few, not finite, of another robot or unit, do not say from
-                where the poses were approached, or do not excite all parameters.
+            FitError: The data are too few, not finite, or of a different robot or unit, do not
+                contain the approach directions of the poses, or do not excite all parameters.
         """
         rows = self._approached(one_row_each(self._dwells(dataset, robot)))
         self.samples_ = len(rows)
@@ -129,16 +139,16 @@ class StaticFriction(StaticModel):
         return self
 
     def _learn(self, rows: Dataset) -> None:
-        """Add to the fit what else there is to learn from dwells with one row each."""
+        """Fit the additional parameters of a subclass to dwells with one row each."""
 
     def predict(self, dataset: Dataset) -> Prediction:
-        """Gravity, offset, drive, friction and payload per row.
+        """Return the effort of every row: gravity, offset, drive, friction and payload components.
 
-        Friction is known for dwells whose approach is known; elsewhere it is 0, and the rows are
-        marked as not valid.
+        Friction is predicted for dwells with a known approach direction. In all other rows,
+        friction is 0 and the prediction is marked as not valid.
 
         Raises:
-            DataError: The data are of another robot or unit.
+            DataError: Robot or unit of the data differ from those of the model.
         """
         self.require_match(dataset)
         still, joints = np.zeros_like(dataset["q"]), dataset.n_joints
@@ -157,9 +167,10 @@ class StaticFriction(StaticModel):
         return Prediction(effort, std, valid & np.isfinite(effort), parts)
 
     def stream(self, payload: Payload | None = None) -> Stream:
-        """A predictor for one sample at a time, at the sample rate of the training data.
+        """Return a predictor for one sample at a time, at the sample rate of the training data.
 
-        It sees from the positions when the arm stops and how; in motion it knows gravity only.
+        The predictor detects from the positions when and how the arm stops. During motion, the
+        predicted friction is 0.
         """
         load = payload or Payload()
 
@@ -179,14 +190,14 @@ class StaticFriction(StaticModel):
         return SampleStream(self.robot_.n, memory, effort)
 
     def dry_friction(self) -> FloatArray:
-        """(n,) level of dry friction of an unloaded joint [N·m]."""
+        """Return (n,) the level of dry friction of an unloaded joint [N·m]."""
         own = dict(zip(self.parameter_names_, self.coefficients_.tolist(), strict=True))
         return np.array(
             [abs(sum(own.get(f"{j}.{t}", 0.0) for t in self._dry())) for j in self.joint_names_]
         )
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """As of every linear model, and what the columns need."""
+        """Return the arrays of a linear model, and the values that define the columns."""
         return super().fitted_arrays() | {
             "load_gravity": self.load_gravity_,
             "load_limit": self.load_limit_,
@@ -194,12 +205,12 @@ class StaticFriction(StaticModel):
         }
 
     def fitted_facts(self) -> dict[str, Any]:
-        """As of every linear model; the sample time, and the terms there might have been."""
+        """Return the JSON entries of a linear model, the sample time and the names of all terms."""
         own = {"period_s": self.period_, "terms": list(self._names)}
         return super().fitted_facts() | own
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fitted attributes from the output of `fitted_arrays` and `fitted_facts`."""
         self.load_gravity_, self.load_limit_ = arrays["load_gravity"], arrays["load_limit"]
         self.celsius_ = arrays["celsius"]
         self.period_ = float(facts["period_s"])
@@ -211,46 +222,47 @@ class StaticFriction(StaticModel):
             raise ValueError(f"terms: {facts['terms']!r:.60}")
 
     def _dry(self) -> tuple[str, ...]:
-        """Terms that add up to the dry friction of an unloaded joint."""
+        """Return the names of the terms whose sum is the dry friction of an unloaded joint."""
         return ("coulomb",)
 
     def _approached(self, rows: Dataset) -> Dataset:
-        """The dwells of which it is known from where every joint came."""
+        """Return the dwells with a known approach direction of every joint."""
         paths = rows.arrivals if rows.arrivals is not None else unknown_paths(rows)
         if np.isinf(paths).any():
             raise FitError(
-                "the paths into the dwells hold infinite values",
+                "the approach paths of the dwells contain infinite values",
                 hint="load the recording again: positions and velocities must be finite",
             )
         known = approach_directions(paths) != 0
         if not known.any():
             raise FitError(
-                f"{self.estimator} needs to know from where the poses were approached, and the "
-                "data do not hold the motion before the dwells",
+                f"{self.estimator} needs the approach directions of the poses, but the data do "
+                "not contain the motion before the dwells",
                 hint="record the moves as well (hil run does), or fit static-wls",
             )
         if not known.any(axis=0).all():
             names = [rows.joint_names[j] for j in np.flatnonzero(~known.any(axis=0))]
             raise FitError(
-                f"{', '.join(names)} did not move before any of the dwells, so how friction holds "
-                "it there is not known",
+                f"{', '.join(names)} did not move before any of the dwells, so the direction of "
+                "its friction is unknown",
                 hint="record a program in which every joint moves, or fit static-wls",
             )
         whole = known.all(axis=1)
         left_out = len(whole) - int(whole.sum())
-        told = (
-            f"{left_out} of {len(whole)} dwells are left out: from where some joint came there is "
-            "not in the data"
+        note = (
+            f"{left_out} of {len(whole)} dwells are left out: the approach direction of a joint "
+            "is not in the data"
         )
-        self.notes_ = (told,) if left_out else ()
+        self.notes_ = (note,) if left_out else ()
         return rows.take(np.flatnonzero(whole))
 
     def _choose_terms(self, rows: Dataset, only: Sequence[str] = ()) -> None:
-        """Name the parameters: terms that say something which those before them do not.
+        """Set the parameter names to the terms that are linearly independent of earlier terms.
 
-        Joint 1 of an upright arm bears no load; where nothing slides back all states are the sign
-        of the approach. The gain of the joint that bears most is left out: if all gains were wrong
-        by one factor, the gravity parameters would be, and nobody could tell.
+        Examples of dependent terms: joint 1 of an upright arm bears no load, and if no joint slides
+        back, all friction states equal the sign of the approach direction. The gain term of the
+        joint with the largest load is left out: a common factor of all drive gains cannot be
+        separated from the gravity parameters.
         """
         terms = self._columns(rows)
         heaviest, names = int(np.argmax(self.load_limit_)), list(self._form.names)
@@ -262,8 +274,8 @@ class StaticFriction(StaticModel):
                 and (term != GAIN or j != heaviest)
                 and np.max(np.abs(values[:, j])) > NOTHING
             }
-            told = independent(np.stack(list(own.values()), axis=1)).tolist()
-            names += [f"{joint}.{term}" for term, new in zip(own, told, strict=True) if new]
+            is_new = independent(np.stack(list(own.values()), axis=1)).tolist()
+            names += [f"{joint}.{term}" for term, new in zip(own, is_new, strict=True) if new]
         self._take_names(tuple(names), tuple(terms))
 
     def _take_names(self, parameters: tuple[str, ...], terms: tuple[str, ...]) -> None:
@@ -279,8 +291,8 @@ class StaticFriction(StaticModel):
         return {"offset": np.ones_like(rows["q"])} | drive | self._terms(rest)
 
     def _weighted(self, columns: dict[str, FloatArray]) -> FloatArray:
-        """(D, n) the columns times their coefficients, in effort units."""
-        own = np.zeros(self._alive.shape)  # 0 for terms that a joint does not have
+        """Return (D, n) the sum of the columns times their coefficients, in effort units."""
+        own = np.zeros(self._alive.shape)  # 0 for terms that a joint lacks
         own[self._alive] = self.coefficients_[len(self._form.names) :]
         total: FloatArray = sum(
             (values * own[:, self._names.index(term)] for term, values in columns.items()),
@@ -289,7 +301,7 @@ class StaticFriction(StaticModel):
         return total / self.torque_scale_
 
     def _load(self, data: Dataset) -> FloatArray:
-        """(N, n) torque of gravity and payload [N·m], see `FARTHEST_LOAD`."""
+        """Return (N, n) the torque of gravity and payload [N·m], limited by `load_limit_`."""
         q, still = data["q"], np.zeros_like(data["q"])
         gravity = (self._form.columns(q) @ self.load_gravity_).reshape(q.shape)
         load = gravity + payload_torque(self.robot_, data, q, still, still)
@@ -298,7 +310,7 @@ class StaticFriction(StaticModel):
         )
 
     def rest(self, rows: Dataset) -> Rest:
-        """What the columns are made of, for dwells with one row each."""
+        """Return the inputs of the columns, for dwells with one row each."""
         paths = rows.arrivals if rows.arrivals is not None else unknown_paths(rows)
         warmer = np.nan_to_num(celsius(rows) - self.celsius_)
         return Rest(self._load(rows), approach_directions(paths), np.nan_to_num(paths), warmer)
@@ -318,14 +330,14 @@ class StaticFriction(StaticModel):
         }
 
     def _friction(self, rows: Dataset) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Friction, its standard deviation (both in effort units) and whether it is known."""
+        """Return friction and standard deviation, in effort units, and a mask of known values."""
         rest = self.rest(rows)
         friction = self._weighted(self._terms(rest))
         return friction, np.broadcast_to(self.sigma_, friction.shape), rest.direction != 0
 
 
 class StaticCoulomb(StaticFriction):
-    """Gravity, offset and Coulomb friction with the sign of the approach, joint by joint."""
+    """Static model with gravity, offset and Coulomb friction by approach direction."""
 
     estimator: ClassVar[str] = "static-coulomb"
 
@@ -334,7 +346,11 @@ class StaticCoulomb(StaticFriction):
 
 
 LENGTHS_RAD = (0.7e-4, 1.4e-4, 2.8e-4, 5.6e-4)
-"""From a third of what the finest encoders of arms resolve to what gears give way by."""
+"""Default lengths of Dahl's states [rad].
+
+The shortest length is a third of the resolution of the finest arm encoders; the longest length is
+the compliance of gears.
+"""
 
 
 def _lengths(name: str, value: Any) -> tuple[float, ...]:
@@ -347,31 +363,32 @@ _ARRAYS = ("mean", "scale", "weights", "leverage")
 
 
 class StaticHysteresis(StaticFriction):
-    """Gravity, offset, friction with memory, load and temperature, and a learnt correction.
+    """Static model whose friction has memory and depends on load and temperature.
 
     Attributes:
-        penalty_: (n,) of the correction.
-        sigma_: (n,) deviation on poses that the correction had not seen, in effort units.
+        penalty_: (n,) penalty of the linear correction.
+        sigma_: (n,) residual standard deviation on poses held out from the correction, in effort
+            units.
     """
 
     estimator: ClassVar[str] = "static-hysteresis"
 
     lengths_rad: tuple[float, ...] = parameter(
-        LENGTHS_RAD, _lengths, doc="Lengths of Dahl's states [rad]."
+        LENGTHS_RAD, _lengths, doc="Lengths of the Dahl states [rad]."
     )
     gear_ratio: float | None = parameter(
         None,
         number,
         above=0.0,
         optional=True,
-        doc="Motor turns per joint turn, for the ripple of the gear at once and twice a motor "
-        "turn; None leaves it out.",
+        doc="Motor turns per joint turn, for gear ripple at one and two periods per motor turn; "
+        "None leaves out the ripple.",
     )
     correction: bool = parameter(
         True,
         flag,
-        doc="Whether to try the columns on poses held out of the training, and correct by the "
-        "paths what they leave there; False keeps the columns as they are.",
+        doc="Test the columns on held-out poses of the training data, and correct the remaining "
+        "error from the approach paths; False uses the columns unchanged.",
     )
 
     _corrections: tuple[GroupedRidge, ...] = ()
@@ -393,10 +410,10 @@ class StaticHysteresis(StaticFriction):
         self.sigma_ = np.sqrt(np.mean(unseen**2, axis=1))
 
     def _out_of_pose(self, rows: Dataset, groups: IntArray) -> FloatArray | None:
-        """(D, n) effort less what a fit without the pose predicts for it.
+        """Return (D, n) the residual of each pose, predicted by a fit that left out this pose.
 
-        None when friction with memory does worse on poses it has not seen than one level of
-        friction, or when there are too few poses to find out.
+        None is returned if friction with memory is less accurate on held-out poses than a constant
+        level of friction, or if there are too few poses.
         """
         plain, own = StaticCoulomb(rest_speed=self.rest_speed), self._uncorrected()
         left = {model.estimator: np.empty_like(rows["effort"]) for model in (plain, own)}
@@ -416,17 +433,18 @@ class StaticHysteresis(StaticFriction):
         return StaticHysteresis(**{**self.get_params(), "correction": False})
 
     def _leave_memory_out(self, rows: Dataset) -> None:
-        """Be `static-coulomb`, and say so."""
+        """Fit only the terms of `static-coulomb`, and add a note about this restriction."""
         self._choose_terms(rows, only=FIRST_TERMS)
         self._solve(rows, weighted=True)
-        told = (
-            "friction with memory is left out: on poses held out of the training it predicted no "
-            "better than one level of friction, or there are too few poses to tell"
+        note = (
+            "friction with memory is left out: on held-out poses of the training data it "
+            "predicted no better than one friction level, or there are too few poses for a "
+            "comparison"
         )
-        self.notes_ = (*self.notes_, told)
+        self.notes_ = (*self.notes_, note)
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """As of every linear model, and the corrections."""
+        """Return the arrays of a linear model, and the arrays of the corrections."""
         own = {
             f"correction_{name}": np.stack([getattr(one, name) for one in self._corrections])
             for name in (_ARRAYS if self._corrections else ())
@@ -434,12 +452,12 @@ class StaticHysteresis(StaticFriction):
         return super().fitted_arrays() | own
 
     def fitted_facts(self) -> dict[str, Any]:
-        """As of every linear model, and the penalties of the corrections."""
+        """Return the JSON entries of a linear model, and the penalties of the corrections."""
         penalties = [one.penalty for one in self._corrections]
         return super().fitted_facts() | {"correction_penalty": penalties}
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fitted attributes from the output of `fitted_arrays` and `fitted_facts`."""
         super().restore(arrays, facts)
         penalties = [float(penalty) for penalty in facts["correction_penalty"]]
         if penalties and len(penalties) != self.robot_.n:
@@ -479,13 +497,13 @@ class StaticHysteresis(StaticFriction):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
-    """Arms at rest, one row each, and how they came there.
+    """Static poses with one row each, with the approach path of each joint.
 
     Attributes:
-        load: (D, n) torque that gravity and payload take [N·m], as far as it is known beforehand.
-        direction: (D, n) +1 from below, −1 from above, 0 unknown.
-        paths: (D, K, 2, n) see `hil.data.arrival`; 0 where unknown.
-        warmer: (D, n) joint temperatures less their mean in training [K]; 0 where unknown.
+        load: (D, n) torque of gravity and payload [N·m], from the first fit.
+        direction: (D, n) approach direction: +1 from below, −1 from above, 0 if unknown.
+        paths: (D, K, 2, n) approach paths, see `hil.data.arrival`; 0 if unknown.
+        warmer: (D, n) joint temperatures minus the mean in training [K]; 0 if unknown.
     """
 
     load: FloatArray
@@ -498,16 +516,16 @@ GAIN = "gain"
 
 
 def drive_terms(q: FloatArray, load: FloatArray, gear_ratio: float | None) -> dict[str, FloatArray]:
-    """Columns (N, n) by name of what the drives do to the current, friction or not.
+    """Return the columns (N, n) of drive effects by name; these columns do not depend on friction.
 
     Args:
-        q: (N, n) where [rad].
-        load: (N, n) torque borne [N·m].
+        q: (N, n) positions [rad].
+        load: (N, n) load torque of the joints [N·m].
         gear_ratio: Motor turns per joint turn, for the ripple of the gear; None for no ripple.
 
     Returns:
-        `gain` (τ: the error of a joint's drive gain beside the other joints'), `square` (τ·|τ|:
-        eq. 16 solved for the current, to first order), `ripple…`.
+        The columns are `gain` (τ: error of a drive gain relative to those of the other joints),
+        `square` (τ·|τ|: eq. 16 solved for the current, to first order), and `ripple…`.
     """
     terms = {GAIN: load, "square": load * np.abs(load)}
     for turns in (1, 2) if gear_ratio is not None else ():
@@ -517,10 +535,12 @@ def drive_terms(q: FloatArray, load: FloatArray, gear_ratio: float | None) -> di
 
 
 def memory_terms(rest: Rest, lengths_rad: Sequence[float]) -> dict[str, FloatArray]:
-    """Columns (D, n) by name: `coulomb` and `memory1…`, and how they go with load and temperature.
+    """Return the columns (D, n) of `coulomb` and `memory1…` by name.
+
+    Each of these columns also occurs multiplied by the load and by the temperature.
 
     Args:
-        rest: What is known of the arms.
+        rest: Static poses with their approach paths.
         lengths_rad: Lengths x of Dahl's states [rad].
     """
     states = states_at_rest(smooth(rest.paths[:, :, ARRIVAL_Q]), lengths_rad)
@@ -535,11 +555,13 @@ def memory_terms(rest: Rest, lengths_rad: Sequence[float]) -> dict[str, FloatArr
 
 
 def correction_features(rest: Rest) -> FloatArray:
-    """(n, D, F) inputs of the linear correction of each joint.
+    """Return (n, D, F) the inputs of the linear correction of each joint.
 
-    Its own path, position and velocity point by point, the position also times its load; and of
-    all joints the load, the load with the joint's own direction, the load with its magnitude, and
-    the temperature with its own direction: what stopping one joint does to the others.
+    The inputs are position and velocity of the joint at each point of its path, and the position
+    times the load of the joint. Further inputs use the loads of all joints: the load, the load
+    times its magnitude, the magnitude times the approach direction of the joint, and the
+    temperatures times this direction. Loads and temperatures of all joints describe how the stop of
+    one joint affects other joints.
     """
     position, speed = rest.paths[:, :, ARRIVAL_Q], rest.paths[:, :, ARRIVAL_QD]
     magnitude = np.abs(rest.load)
@@ -553,27 +575,30 @@ def correction_features(rest: Rest) -> FloatArray:
 
 
 SMOOTHED = 7
-"""Points of a path that a local parabola is fitted to: the encoder's noise is a tenth of what the
-slide back is, and Dahl's states would take every noisy step for a small motion."""
+"""Number of path points in the fit of each local parabola.
+
+The encoder noise is a tenth of the slide back. Without smoothing of the path, Dahl's states would
+treat every step of the noise as a motion.
+"""
 
 
 def smooth(paths: FloatArray) -> FloatArray:
-    """(D, K, n) paths as local parabolas have them."""
+    """Return (D, K, n) the approach paths smoothed by local parabolas."""
     smoothed: FloatArray = savgol_filter(paths, SMOOTHED, 2, axis=1)
     return smoothed
 
 
 def celsius(rows: Dataset) -> FloatArray:
-    """(D, n) joint temperatures, NaN where nobody measured them."""
+    """Return (D, n) the joint temperatures [°C]; NaN if they were not measured."""
     return rows.columns.get("temperature", np.full_like(rows["q"], np.nan))
 
 
 LEAST_SPAN_K = 1.0
-"""Temperatures that change by less in training say nothing about how friction goes with them."""
+"""Minimum temperature range in training for which a temperature dependence is fitted [K]."""
 
 
 def mean_celsius(rows: Dataset) -> FloatArray:
-    """(n,) mean temperatures; NaN where unknown, or where they say nothing."""
+    """Return (n,) the mean joint temperatures [°C]; NaN if unknown or nearly constant."""
     found = np.full(rows.n_joints, np.nan)
     for j, measured in enumerate(celsius(rows).T):
         known = measured[np.isfinite(measured)]
@@ -583,18 +608,18 @@ def mean_celsius(rows: Dataset) -> FloatArray:
 
 
 def period(t: FloatArray) -> float:
-    """Usual time between samples at times t (N,) [s]; NaN when it never advances."""
+    """Return the median time between samples at times t (N,) [s]; NaN without increasing times."""
     steps = np.diff(t)
     return float(np.median(steps[steps > 0])) if np.any(steps > 0) else np.nan
 
 
 def unknown_paths(rows: Dataset) -> FloatArray:
-    """(S, K, 2, n) paths of which nothing is known."""
+    """Return (S, K, 2, n) approach paths that contain only NaN."""
     return np.full((len(rows.conditions), ARRIVAL_POINTS, 2, rows.n_joints), np.nan)
 
 
 def dwells_in(dataset: Dataset) -> tuple[Dataset, BoolArray, IntArray]:
-    """The dwells that have rows, which rows (N,) are theirs, and the dwell of each of those."""
+    """Return the non-empty dwells, the mask (N,) of their rows, and the dwell index of each row."""
     there = np.diff(dataset.offsets) > 0
     at_rest = np.array([c.kind in AT_REST for c in dataset.conditions], dtype=bool)
     chosen = at_rest & there
@@ -604,16 +629,16 @@ def dwells_in(dataset: Dataset) -> tuple[Dataset, BoolArray, IntArray]:
 
 
 LEAST_OWN = 1e-4
-"""Share of a column that no others account for, below which it is left out."""
+"""Minimum share of a column that is independent of earlier columns, to use the column."""
 
 
 def independent(columns: FloatArray) -> BoolArray:
-    """(k,) which of the columns (D, k) are no combination of those kept before them."""
+    """Return (k,) a mask of the columns (D, k) that are linearly independent of earlier columns."""
     basis = np.empty((len(columns), 0))
     kept = []
     for column in columns.T:
         left = column
-        for _ in range(2):  # once is not enough for columns that are nearly a combination
+        for _ in range(2):  # the second pass removes rounding errors of nearly dependent columns
             left = left - basis @ (basis.T @ left)
         size, own = float(np.linalg.norm(column)), float(np.linalg.norm(left))
         kept.append(own > LEAST_OWN * size)

@@ -1,18 +1,19 @@
-"""Eq. 16–19 of the static paper without the current among the inputs: fit τ(i), then invert it.
+"""Eq. 16–19 of the static paper without the current as an input: fit τ(i) and invert it.
 
-Eq. 19 divides eq. 18 by K₁ and moves i²·sign(i) to the side of the regressors, where it stands for
-the current that is to be predicted. Here gravity comes from the positions alone and the drive's
-curve is inverted (`hil.estimators.drive_curve`): i = f⁻¹(φ(q)·θ; K₁, K₂, K₀).
+Eq. 19 divides eq. 18 by K₁ and uses i²·sign(i) as a regressor, although the current is the quantity
+to be predicted. In this module, gravity is computed from the positions alone, and the curve of the
+drive is inverted (`hil.estimators.drive_curve`): i = f⁻¹(φ(q)·θ; K₁, K₂, K₀).
 
-The measured current is full of friction that has nothing to do with the pose. Whoever regresses
-gravity on i and i² has that friction in the regressor, which pulls K₁ and K₂ off (errors in
-variables), and cannot tell gravity and K₁ apart: only θ/K₁ shows. So the error of the *predicted
-current* is minimised over θ, K₂ and K₀ (`hil.estimators.drive_curve`), with K₁ given: the drive
-gains, or 1 where nobody knows them, θ then being in amperes. The regressor holds only positions,
-which are exact. A gravity model that lacks a term leaves its error in K₂.
+The measured current contains friction that does not depend on the pose. A regression of gravity on
+i and i² has this friction in its regressor. This pose-independent friction biases K₁ and K₂ (errors
+in variables), and the regression cannot separate gravity from K₁: only θ/K₁ is identifiable. In
+this module, the error of the *predicted current* is minimised over θ, K₂ and K₀
+(`hil.estimators.drive_curve`) for a given K₁. K₁ is the drive gain, or 1 if the gain is unknown; θ
+is then in amperes. The regressor of this fit contains only positions, which are exact. If the
+gravity model lacks a term, K₂ contains the resulting error.
 
-K₂ shows as curvature of i over gravity and is small. Where the data do not tell it from 0 it is
-left out (`square: auto`), and the model says so, joint by joint (`joint_notes_`).
+K₂ is a small curvature of the current over gravity. If the data do not determine K₂ significantly,
+K₂ is set to 0 (`square: auto`), and a note for the joint reports the missing K₂ (`joint_notes_`).
 """
 
 from __future__ import annotations
@@ -44,23 +45,23 @@ from hil.estimators.static_model import Form, PoseClustered, deviation, one_row_
 Square = Literal["auto", "free", "zero"]
 
 SURE = 0.99
-"""Level of the interval of K₂ that must leave out 0 with `square: auto`."""
+"""Confidence level of the K₂ interval that must exclude 0 if `square: auto` is set."""
 
 NO_COLUMN = 1e-9
-"""Regressors of gravity, about 1 to 10 in SI, below this are rounding errors."""
+"""Magnitude below which a gravity regressor, usually 1 to 10 in SI units, is a rounding error."""
 
-NO_GRAVITY = "no gravity acts on it in this model, so its current at rest is predicted as constant"
-LINEAR = "the data do not tell K₂ from 0: torque goes linearly with current"
-ASSUMED = "K₂ is taken as 0: torque goes linearly with current"
+NO_GRAVITY = "no gravity acts on this joint in the model, so its static current is constant"
+LINEAR = "the data do not distinguish K₂ from 0: torque is linear in current"
+ASSUMED = "K₂ is set to 0: torque is linear in current"
 
 
 class StaticInverse(PoseClustered):
-    """Gravity, and a drive whose torque bends with its current; predicts by inverting eq. 16.
+    """Gravity and nonlinear drive curve of a static arm; the prediction inverts eq. 16.
 
     Attributes:
-        parameter_names_: Gravity parameters, then per joint `square` (K₂, 0 with NaN as its error
-            where it was left out) and `offset` (−K₀).
-        joint_notes_: What there is to know of each joint, in words; empty for most.
+        parameter_names_: Gravity parameters, followed by `square` (K₂) and `offset` (−K₀) of each
+            joint. If K₂ was left out, the value of `square` is 0 and its standard error is NaN.
+        joint_notes_: One note per joint for the user; the note is empty for most joints.
     """
 
     estimator: ClassVar[str] = "static-inverse"
@@ -70,21 +71,21 @@ class StaticInverse(PoseClustered):
         "paper",
         choice,
         ("paper", "shared"),
-        doc="`paper`, each joint by itself with φ₂…φ₅ of eq. 15, or `shared`, all joints at once "
+        doc="`paper`: each joint separately, with φ₂…φ₅ of eq. 15; `shared`: all joints together "
         "(drive gains needed).",
     )
     square: Square = parameter(
         "auto",
         choice,
         ("auto", "free", "zero"),
-        doc="Whether K₂ is estimated: `auto` keeps it where its 99 % interval leaves out 0, `free` "
-        "wherever it could show, `zero` nowhere.",
+        doc="Estimation of K₂: `auto` keeps K₂ only if its 99 % interval excludes 0, `free` keeps "
+        "K₂ whenever it is observable, `zero` sets K₂ to 0.",
     )
 
     joint_notes_: tuple[str, ...]
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what a fit cannot do without: poses as `PoseClustered`, and motor currents.
+        """Return the minimum data requirements: number of poses, and motor currents.
 
         Raises:
             FitError: `form: paper` does not support this robot.
@@ -92,12 +93,14 @@ class StaticInverse(PoseClustered):
         return replace(super().needs(robot, loaded=loaded), effort="current")
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit to the mean currents of dwells, or of the stays found in motions without a plan.
+        """Fit the model to the mean currents of the dwells.
+
+        Dwells are detected if the recording has no plan.
 
         Raises:
-            FitError: The efforts are no currents; there are too few poses, a joint that has to
-                move did not, a parameter is not determined, or data are not finite or of another
-                robot or unit.
+            FitError: The efforts are torques, there are too few poses, a joint that must move did
+                not move, a parameter is not determined, or the data are not finite or are of a
+                different robot or unit.
         """
         dwells = self._enough_dwells(dataset, robot)
         data = one_row_each(dwells)
@@ -112,37 +115,39 @@ class StaticInverse(PoseClustered):
         return self
 
     def predict(self, dataset: Dataset) -> Prediction:
-        """The current that holds gravity and load; from positions, no current is looked at.
+        """Return the current that holds gravity and payload, from positions alone.
 
-        Not valid where the arm moves, nor where no current makes the torque by eq. 16; there the
-        current at the drive's turning point is told.
+        The prediction is not valid in motion, or if no current produces the torque by eq. 16. If no
+        current produces the torque, the prediction is the current at the turning point of the drive
+        curve.
 
         Raises:
-            DataError: The data are of another robot or unit.
-            FitError: A load is mounted, and the fit knew no drive gains.
+            DataError: Robot or unit of the data differ from those of the model.
+            FitError: A payload is mounted, and the training data had no drive gains.
         """
         return super().predict(dataset)
 
     @property
     def constants_(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """K₁ [N·m/A], K₂ [N·m/A²] and K₀ [N·m] of eq. 16, (n,) each; K₁ as given to the fit."""
+        """Constants K₁ [N·m/A], K₂ [N·m/A²] and K₀ [N·m] of eq. 16, (n,) each; K₁ is not fitted."""
         own = self._own_coefficients()
         return self.torque_scale_, own[:, 0], -own[:, 1]
 
     def fitted_facts(self) -> dict[str, Any]:
-        """As of every static model, and what there is to know of each joint."""
+        """Return the JSON entries of a static model, and the note on each joint."""
         words = dict(zip(self.joint_names_, self.joint_notes_, strict=True))
         return super().fitted_facts() | {"joints": words}
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fitted attributes from the output of `fitted_arrays` and `fitted_facts`."""
         super().restore(arrays, facts)
         self.joint_notes_ = tuple(str(facts["joints"][name]) for name in self.joint_names_)
 
     def _require_effort(self, dataset: Dataset, needed: str) -> None:
         if dataset.effort_kind != needed:
             raise FitError(
-                f"static-inverse needs motor currents, but the data hold a {dataset.effort_kind}",
+                "static-inverse needs motor currents, but the data contain a "
+                f"{dataset.effort_kind}",
                 hint="use static-linear or static-wls for torques",
             )
 
@@ -152,10 +157,10 @@ class StaticInverse(PoseClustered):
     def _fit_joints(
         self, data: Dataset, gravity: FloatArray, joints: IntArray, pose: IntArray
     ) -> dict[int, str]:
-        """Fit joints that share parameters; what is to be said of each."""
+        """Fit the joints that share parameters, and return a note on each joint."""
         pulled = [int(j) for j in joints if np.max(np.abs(gravity[:, j])) > NO_COLUMN]
         linear = self._currents(data, gravity, joints, pose)
-        # As in static-wls: quiet joints count more, by the residual of a linear fit.
+        # As in static-wls, joints are weighted by the residual of a linear fit.
         rough = linear_residual(linear).reshape(-1, len(joints))
         sigma = np.maximum(deviation(rough, linear.X.shape[1]), 1e-12)
         rows = Currents(
@@ -175,7 +180,7 @@ class StaticInverse(PoseClustered):
     def _currents(
         self, data: Dataset, gravity: FloatArray, joints: IntArray, pose: IntArray
     ) -> Currents:
-        """Rows of the joints, sample by sample, weighted alike."""
+        """Return the rows of the passed joints, sample by sample, with equal weights."""
         still, n = np.zeros_like(data["q"]), len(joints)
         load = payload_torque(self.robot_, data, data["q"], still, still)
         columns = self._gravity_of(joints)
@@ -192,7 +197,7 @@ class StaticInverse(PoseClustered):
         )
 
     def _keep(self, found: CurrentFit, joints: IntArray, squares: list[int]) -> None:
-        """Put what was found among all parameters."""
+        """Store the fitted values of some joints in the arrays of all parameters."""
         offsets = [self._offset_of(int(j)) for j in joints]
         at = [*self._gravity_of(joints), *offsets, *(self._offset_of(j) - 1 for j in squares)]
         require_rank(
@@ -211,7 +216,7 @@ class StaticInverse(PoseClustered):
         return [k for k, j in enumerate(self._form.joint) if j is None or j in joints]
 
     def _gravity_torque(self, q: FloatArray) -> FloatArray:
-        """(N, n) gravity [N·m]."""
+        """Return (N, n) the predicted gravity torque [N·m]."""
         gravity = self.coefficients_[: len(self._form.names)]
         torque: FloatArray = (self._form.columns(q) @ gravity).reshape(q.shape)
         return torque
@@ -242,7 +247,7 @@ class StaticInverse(PoseClustered):
 
 
 def _significant(found: CurrentFit, squares: list[int]) -> list[int]:
-    """The joints whose K₂ the data tell from 0."""
+    """Return the joints whose K₂ differs significantly from 0."""
     last = slice(len(found.coefficients), None)
     error = np.sqrt(np.diag(found.clustered.covariance)[last])
     ends = interval(found.squares, error, found.clustered.degrees[last], SURE)

@@ -1,8 +1,9 @@
-"""The five linear estimators of Khanesar et al. (eq. 15–24, Table 2, Fig. 4) on one regressor.
+"""Five linear estimators of Khanesar et al. (eq. 15–24, Table 2, Fig. 4) on one regressor.
 
-`static-wls` solves for all joints at once and weights joints; `static-linear` solves R·θ = i as the
-paper does, joint by joint, and reports how sure each parameter is. What is minimised is
-scikit-learn's, whose scaling differs from the paper's printed one (n rows):
+`static-wls` solves for all joints together and weights the joints. `static-linear` solves R·θ = i
+joint by joint, as in the static paper, and reports the standard error of each parameter. The
+functions that are minimised are those of scikit-learn, whose scaling differs from the formulas in
+the static paper (n is the number of rows):
 
 | method | minimised | in the paper |
 |---|---|---|
@@ -11,14 +12,15 @@ scikit-learn's, whose scaling differs from the paper's printed one (n rows):
 | lasso | Σ rᵢ²/(2n) + α Σ abs(θₖ) | Σ rᵢ² + α/2 (Σ abs(θₖ))² in (23) |
 | elastic-net | Σ rᵢ²/(2n) + α ρ Σ abs(θₖ) + α (1−ρ)/2 Σ θₖ² | α in place of ρ in (24) |
 
-So α = 0.001 hardly penalises with ridge but strongly with lasso. Offsets are never penalised, as in
-scikit-learn with an intercept (where the column of ones of eq. 20 ends up).
+A value of α = 0.001 is therefore a weak penalty for ridge but a strong one for lasso. Offsets are
+never penalised, as in scikit-learn with an intercept, which replaces the column of ones in eq. 20.
 
-The paper's WLS weights every sample by 1/σ² with a variance of its own, from the residual of a
-least-squares fit. A variance from one residual is no variance: where the residual happens to be 0
-the weight is infinite, and the fit goes through that sample. So a variance v here is that of the m
-observations of a whole pose or dwell, and it is shrunk towards the mean variance of its joint s²,
-with a weight of `PRIOR_OBSERVATIONS`: (PRIOR·s² + m·v) / (PRIOR + m).
+The WLS method of the static paper weights every sample by 1/σ², with a separate variance from the
+residual of a least-squares fit. A single residual does not determine a variance: a residual near 0
+would have a nearly infinite weight, and the fit would pass through its sample. In this module, each
+variance v is computed from the m observations of a whole pose or dwell. The variance v is shrunk
+towards the mean variance s² of its joint with a weight of `PRIOR_OBSERVATIONS`: (PRIOR·s² + m·v) /
+(PRIOR + m).
 """
 
 from __future__ import annotations
@@ -55,10 +57,11 @@ NO_STD_ERROR = "none: a penalty biases the parameters by more than their standar
 
 
 class StaticLinear(PoseClustered):
-    """Gravity and offset of an arm at rest by one of the paper's five methods.
+    """Gravity and offset of a static arm, fitted by one of the five methods of the static paper.
 
     Attributes:
-        covariance_, degrees_, std_error_: NaN for `ridge`, `lasso` and `elastic-net`.
+        covariance_, degrees_, std_error_: Covariance, degrees of freedom and standard errors; NaN
+            for `ridge`, `lasso` and `elastic-net`.
     """
 
     estimator: ClassVar[str] = "static-linear"
@@ -73,8 +76,8 @@ class StaticLinear(PoseClustered):
         "paper",
         choice,
         ("paper", "shared"),
-        doc="`paper`, each joint by itself in the unit of the effort, or `shared`, all joints at "
-        "once in N·m (not for `lasso` and `elastic-net`).",
+        doc="`paper`: each joint separately, in the unit of the effort; `shared`: all joints "
+        "together, in N·m (not for `lasso` and `elastic-net`).",
     )
     alpha: float = parameter(
         0.001, number, at_least=0.0, doc="Weight of the penalty, in scikit-learn's scaling."
@@ -85,20 +88,21 @@ class StaticLinear(PoseClustered):
     standardise: bool = parameter(
         False,
         flag,
-        doc="Penalise as if all columns had standard deviation 1. The paper does not.",
+        doc="Penalise as if all columns had standard deviation 1, unlike the static paper.",
     )
     weights: Weights = parameter(
         "paper",
         choice,
         ("paper", "repeats", "pose"),
-        doc="Of `wls`: `paper` (variances from the residual of a first fit), `repeats` (variances "
-        "of the samples of a dwell), `pose` (every pose counts once).",
+        doc="Weights of `wls`: `paper` (variances from the residual of a first fit), `repeats` "
+        "(variances of the samples of a dwell), `pose` (every pose counts once).",
     )
     rows: Rows = parameter(
         "dwells",
         choice,
         ("dwells", "samples"),
-        doc="`dwells`, one row each, or `samples`, all of them, as the paper.",
+        doc="Rows of the regression: `dwells` (one row per dwell) or `samples` (all samples, as "
+        "in the static paper).",
     )
     current_term: bool = CURRENT_TERM
 
@@ -108,19 +112,21 @@ class StaticLinear(PoseClustered):
             raise SpecError(f"l1_ratio is {self.l1_ratio!r}, but must be a share between 0 and 1")
         if self.form == "shared" and self.method in ("lasso", "elastic-net"):
             raise SpecError(
-                f"method: {self.method} goes with form: paper only",
-                hint="add form: paper, or choose another method",
+                f"method: {self.method} needs form: paper",
+                hint="set form: paper, or choose a different method",
             )
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit to the dwells of the data, or to the stays found in motions without a plan.
+        """Fit the model to the dwells of the data.
 
-        Dwells with fewer than ten samples are used as they are, and `notes_` says so.
+        Dwells are detected if the recording has no plan.
+
+        Dwells with fewer than ten samples are used too; `notes_` reports these dwells.
 
         Raises:
-            FitError: There are too few poses, a joint that has to move did not, a parameter is not
-                determined, data are not finite or of another robot or unit; or `current_term`
-                meets efforts that are no currents.
+            FitError: There are too few poses, a joint that must move did not move, a parameter is
+                not determined, or the data are not finite or are of a different robot or unit. The
+                setting `current_term` is on although the efforts are torques.
         """
         dwells = self._enough_dwells(dataset, robot)
         self._assemble([(*each, self._solve_block(*each)) for each in self._blocks(dwells)])
@@ -130,12 +136,12 @@ class StaticLinear(PoseClustered):
         return {"given": NO_STD_ERROR} if self.method in PENALISED else super()._std_error_facts()
 
     def _blocks(self, dwells: Dataset) -> Iterator[tuple[IntArray, Block]]:
-        """The regressions, each with its columns among all parameters."""
+        """Yield the regressions, each with the indices of its columns among all parameters."""
         data = one_row_each(dwells) if self.rows == "dwells" else dwells
         (_, W, target) = next(self._observations(data))
         cube = W.reshape(len(data), data.n_joints, -1)
         self._require_excited(data, cube)
-        # The efforts' variance, in the squared unit of the target.
+        # Variance of the efforts, in the squared unit of the target.
         to_target = self.torque_scale_ / self._unit(np.arange(data.n_joints))
         variance = scatter(dwells) * to_target**2
         series = DwellSeries(pose_numbers(dwells), variance, np.diff(dwells.offsets))
@@ -164,7 +170,7 @@ class StaticLinear(PoseClustered):
         return found
 
     def _assemble(self, solved: list[tuple[IntArray, Block, BlockSolution]]) -> None:
-        """Put the regressions' parameters together, in the torque domain."""
+        """Store the parameters of all regressions after converting them to torques."""
         self._allocate()
         for columns, block, found in solved:
             joints = np.fromiter(block.offset, dtype=np.int64)
@@ -181,12 +187,12 @@ class StaticLinear(PoseClustered):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DwellSeries:
-    """The dwells that rows come from.
+    """Dwells to which the rows of a regression belong.
 
     Attributes:
-        pose: (D,) from 0; what is clustered.
+        pose: (D,) index of the pose of each dwell; the errors of one pose form a cluster.
         scatter: (D, n) variance of the samples of each dwell, in the unit of `Block.y` squared.
-        samples: (D,) how many samples there were.
+        samples: (D,) number of samples of each dwell.
     """
 
     pose: IntArray
@@ -196,14 +202,14 @@ class DwellSeries:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """One regression: all joints (`shared`) or one joint (`paper`).
+    """Data of one regression: all joints (`shared`) or one joint (`paper`).
 
     Attributes:
-        X: (N, p) regressor, its offset columns included.
+        X: (N, p) regressor, including offset columns.
         y: (N,) target.
-        joint: (N,) joint of each row, from 0.
-        dwell: (N,) dwell of each row, from 0.
-        offset: Joint → its column of ones.
+        joint: (N,) index of the joint of each row, from 0.
+        dwell: (N,) index of the dwell of each row, from 0.
+        offset: Index of the column of ones of each joint.
         series: All dwells.
     """
 
@@ -216,18 +222,19 @@ class Block:
 
     @property
     def pose(self) -> IntArray:
-        """(N,) pose of each row, from 0."""
+        """Index (N,) of the pose of each row, from 0."""
         return self.series.pose[self.dwell]
 
 
 class BlockSolution(NamedTuple):
-    """What a method finds for a block.
+    """Solution of one least-squares regression.
 
     Attributes:
-        coefficients: (p,).
-        covariance: (p, p), clustered by pose; NaN where the method gives none.
-        degrees: (p,) degrees of freedom of the intervals; NaN likewise.
-        rank: Excited directions.
+        coefficients: (p,) coefficients.
+        covariance: (p, p) covariance, clustered by pose; NaN if the method does not provide it.
+        degrees: (p,) degrees of freedom of the confidence intervals; NaN if the method does not
+            provide them.
+        rank: Number of excited parameter directions.
         condition: Condition number of the column-scaled, weighted regressor.
     """
 
@@ -239,11 +246,11 @@ class BlockSolution(NamedTuple):
 
 
 def least_squares(block: Block, weights: Weights | None) -> BlockSolution:
-    """Least squares, weighted if asked, with pose-clustered CR2 covariance."""
+    """Return the least-squares solution, weighted on request, with pose-clustered CR2 errors."""
     if weights == "paper":
         return _weighted_by_residual(block)
     weight = np.ones_like(block.y)
-    if weights == "pose":  # every pose counts once, however many dwells and samples it has
+    if weights == "pose":  # every pose has the same weight for any number of dwells and samples
         weight = 1.0 / np.bincount(block.pose)[block.pose]
     elif weights == "repeats":
         weight = _repeat_weights(block)
@@ -261,20 +268,26 @@ def _solution(fit: Weighted, sums: ClusterSums) -> BlockSolution:
 
 
 PRIOR_OBSERVATIONS = 4.0
-"""Observations' worth of the joint's mean variance. With one residual per pose the weights are
-those of one step towards the maximum likelihood of Student's t with 4 degrees of freedom."""
+"""Weight of the mean variance of the joint, in observations.
+
+If there is one residual per pose, the weights of the poses equal those of one step towards the
+maximum likelihood of Student's t distribution with 4 degrees of freedom.
+"""
 
 
 def _weighted_by_residual(block: Block) -> BlockSolution:
-    """The paper's two steps; the intervals know that the weights came from the same data.
+    """Return the two-step solution of the static paper.
 
-    All rows of a pose are one observation of its variance: they share what friction left. Where a
-    residual is large its weight is small, so its pull does not grow with it. That makes the second
-    fit answer less to an error than its weights suggest.
+    The standard errors take into account that the weights are estimated.
 
-    The weights depend on the first fit. With B₀ = XᵀX and C = Σ_g κ_g s_g s_gᵀ, a change δβ of the
-    first fit changes the summed score by +C·δβ, so C·B₀⁻¹·s joins the score s of each pose
-    (s_g = X_gᵀ r_g, κ_g = 2/((PRIOR + 1)·m_g·v_g²)).
+    All rows of a pose count as one observation of its variance, because these rows share the
+    remaining friction. A pose with a large residual has a small weight, so its influence does not
+    grow with the residual. The second fit is therefore less sensitive to an error than the weights
+    suggest.
+
+    The weights of the second fit depend on the first fit. With B₀ = XᵀX and C = Σ_g κ_g s_g s_gᵀ, a
+    change δβ of the first fit changes the summed score by +C·δβ. The term C·B₀⁻¹·s is therefore
+    added to the score s of each pose (s_g = X_gᵀ r_g, κ_g = 2/((PRIOR + 1)·m_g·v_g²)).
     """
     ones = np.ones_like(block.y)
     first = weighted_least_squares(block.X, block.y)
@@ -298,12 +311,12 @@ def _weighted_by_residual(block: Block) -> BlockSolution:
 
 
 def _repeat_weights(block: Block) -> FloatArray:
-    """(N,) 1/variance of the repeats of the dwell a row belongs to."""
+    """Return (N,) for each row the reciprocal variance of the samples in its dwell."""
     weight, prior = np.empty_like(block.y), PRIOR_OBSERVATIONS
-    degrees = block.series.samples - 1.0  # one sample alone has no variance
+    degrees = block.series.samples - 1.0  # a single sample has no variance
     for joint in block.offset:
         rows, variance = block.joint == joint, block.series.scatter[:, joint]
-        # Quantised samples may all be equal.
+        # Quantised samples can all be equal.
         mean = float(variance @ degrees) / max(float(np.sum(degrees)), 1.0)
         common = max(mean, _variance_floor(block))
         shrunk = (prior * common + degrees * variance) / (prior + degrees)
@@ -312,21 +325,23 @@ def _repeat_weights(block: Block) -> FloatArray:
 
 
 def _variance_floor(block: Block) -> float:
-    """Variance below which data count as free of noise."""
+    """Return the variance below which data count as noise-free."""
     return max((1e-12 * float(np.max(np.abs(block.y), initial=0.0))) ** 2, 1e-60)
 
 
 def penalised(
     block: Block, method: str, alpha: float, l1_ratio: float, standardise: bool
 ) -> BlockSolution:
-    """Ridge, lasso or elastic net of scikit-learn; no uncertainties: a penalty biases.
+    """Return the ridge, lasso or elastic-net solution of scikit-learn.
+
+    A penalised solution has no standard errors, because the penalty causes a bias.
 
     Args:
-        block: The regression.
-        method: `ridge`, `lasso` or `elastic-net`.
-        alpha: Weight of the penalty.
-        l1_ratio: Share of Σ abs(θ) in the elastic net's penalty.
-        standardise: Penalise coefficients of columns scaled to standard deviation 1.
+        block: Data of the regression to be solved.
+        method: Name of the method: `ridge`, `lasso` or `elastic-net`.
+        alpha: Weight of the penalty in the minimised function.
+        l1_ratio: Share of Σ abs(θ) in the penalty of the elastic net.
+        standardise: Whether the penalty applies to columns scaled to a standard deviation of 1.
     """
     gravity_columns = [k for k in range(block.X.shape[1]) if k not in block.offset.values()]
     mean_X, mean_y = (
@@ -350,7 +365,7 @@ def penalised(
 
 
 def _joint_means(block: Block, values: FloatArray) -> FloatArray:
-    """(n, k) mean of values (N, k) over the rows of each joint; 0 for joints without rows."""
+    """Return (n, k) the mean of values (N, k) over the rows of each joint; 0 if it has none."""
     count = np.bincount(block.joint)
     sums = np.zeros((len(count), values.shape[1]))
     np.add.at(sums, block.joint, values)
@@ -361,11 +376,11 @@ def _joint_means(block: Block, values: FloatArray) -> FloatArray:
 def _regressor(method: str, alpha: float, l1_ratio: float) -> Any:
     from sklearn.linear_model import ElasticNet, Lasso, LinearRegression, Ridge
 
-    if alpha == 0.0:  # scikit-learn advises against descending to least squares
+    if alpha == 0.0:  # scikit-learn advises against coordinate descent without a penalty
         return LinearRegression(fit_intercept=False)
     if method == "ridge":
         return Ridge(alpha=alpha, fit_intercept=False)
-    # The tolerance of the coordinate descent is the paper's.
+    # The tolerance of the coordinate descent is that of the static paper.
     descent: dict[str, Any] = {"fit_intercept": False, "tol": 1e-8, "max_iter": 100_000}
     if method == "lasso":
         return Lasso(alpha=alpha, **descent)

@@ -1,23 +1,25 @@
-"""Linear models of an arm at rest: gravity, an offset per joint, and how sure their parameters are.
+"""Linear models of a static arm: gravity and an offset per joint, with standard errors.
 
-At rest, gravity is the motor's torque, φ_j·θ_j = K₂·i²·sign(i) + K₁·i + K₀ (static paper, eq. 18).
-Gravity comes in two forms (`BaseGravity`, `PaperGravity`):
+In a static pose, the motor torque equals gravity: φ_j·θ_j = K₂·i²·sign(i) + K₁·i + K₀ (static
+paper, eq. 18). There are two forms of gravity (`BaseGravity`, `PaperGravity`):
 
-- `shared`: the arm's base gravity regressor, one set of parameters for all joints, plus one offset
-  per joint, fitted to K·i. Needs the drive gains.
-- `paper`: φ₂…φ₅ of eq. 15, one independent regression per joint plus an offset; needs no drive
-  gains while nothing is mounted. Only for the six-joint arms of Universal Robots on a level base.
+- `shared` is the base gravity regressor of the arm with one set of parameters for all joints, plus
+  one offset per joint, fitted to the torque K·i. The form `shared` requires drive gains.
+- `paper` consists of φ₂…φ₅ of eq. 15, with an independent regression and one offset per joint. The
+  form `paper` requires no drive gains if no payload is mounted, and is only valid for six-joint
+  arms of Universal Robots on a level base.
 
-The column i²·sign(i) of eq. 20 is left out by default: it puts the target into its own regressor,
-and a model that needs the current to predict the current predicts nothing. `current_term` adds it
-to reproduce the paper's numbers, and the model then says so wherever it shows (`protocol`).
+The column i²·sign(i) of eq. 20 is left out by default. The column i²·sign(i) contains the target of
+the regression, and a model that needs the current to predict the current is useless for prediction.
+The setting `current_term` adds the column i²·sign(i) to reproduce the results of the static paper;
+reports then show the deviation (`protocol`).
 
-`StaticModel` is the base of all, with regressor, predictions and refusals; `StaticWls`
-(`static-wls`) solves it by weighted least squares. `PoseClustered` is the base of those that report
-how sure each parameter is, with standard errors clustered by pose. Friction at rest depends on how
-the pose was approached and enters as noise; poses approached from both sides average it out. Every
-dwell counts once: its ten samples are nearly one sample, and standard errors that counted all ten
-would be three times too small. Models that know the approach are in
+`StaticModel` is the base class with regressor, predictions and checks. `StaticWls` (`static-wls`)
+uses weighted least squares. `PoseClustered` is the base class of models with standard errors
+clustered by pose. Static friction depends on the approach direction and acts as noise; this noise
+averages out at poses that were approached from both directions. Every dwell counts as one
+observation, because its ten samples are nearly equal; counting all ten would make the standard
+errors three times too small. Models that use the approach direction are in
 `hil.estimators.static_friction`.
 """
 
@@ -61,21 +63,21 @@ Form = Literal["shared", "paper"]
 PAPER_PROTOCOL = "paper: the measured current is among the inputs"
 
 CURRENT_PART = "measured current² (paper protocol)"
-"""Component of a prediction that is made of what is to be predicted."""
+"""Name of the prediction component that is computed from the measured effort."""
 
 
 class StaticModel(WlsEstimator):
-    """Gravity and offset of an arm at rest, linear in the parameters.
+    """Gravity and offset of a static arm, linear in the parameters.
 
-    Divided by K₁ (eq. 19), eq. 18 is linear: with `current_term` joint j's regressor is
-    R_j = [φ_j, i²·sign(i), 1] (eq. 20), and its last two coefficients are −K₂/K₁ and −K₀/K₁ after
-    division by `torque_scale_[j]`.
+    After division by K₁ (eq. 19), eq. 18 is linear in the parameters. With `current_term`, the
+    regressor of joint j is R_j = [φ_j, i²·sign(i), 1] (eq. 20). The last two coefficients of this
+    regressor, divided by `torque_scale_[j]`, are −K₂/K₁ and −K₀/K₁.
 
     Attributes:
-        form, current_term: Parameters, or constants of a subclass.
-        parameter_names_: Gravity parameters, then per joint `offset`, or `current_squared` and
-            `offset`.
-        samples_: Number of dwells.
+        form, current_term: Parameters of the estimator, or constants of a subclass.
+        parameter_names_: Gravity parameters, followed by `offset` for each joint, or by
+            `current_squared` and `offset` for each joint.
+        samples_: Number of dwells used in the fit.
     """
 
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("dwell",), ("trajectory",))
@@ -87,18 +89,19 @@ class StaticModel(WlsEstimator):
         0.01,
         number,
         above=0.0,
-        doc="Faster than this [rad/s] a row is not at rest and the model not valid.",
+        doc="Joint speed [rad/s] above which a row is not static and the model is not valid.",
     )
 
     @property
     def protocol(self) -> str:
-        """`honest`, or with `current_term` that the target is among the inputs."""
+        """Protocol of the model: `honest`, or a text that the measured current is an input."""
         return PAPER_PROTOCOL if self.current_term else HONEST
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what a fit cannot do without: as many dwells as parameters.
+        """Return the minimum data requirements: at least as many dwells as parameters.
 
-        Currents need no gains when every joint is on its own and nothing is mounted.
+        Motor currents require no drive gains if every joint is fitted separately and no payload is
+        mounted.
 
         Raises:
             FitError: `form: paper` does not support this robot.
@@ -110,11 +113,14 @@ class StaticModel(WlsEstimator):
         )
 
     def _dwells(self, dataset: Dataset, robot: RobotModel) -> Dataset:
-        """The dwells to fit to, or the stays found in motions without a plan; sets the regressor.
+        """Return the dwells used in the fit, and prepare the regressor.
+
+        Dwells are detected if a motion has no plan.
 
         Raises:
-            FitError: The data are not finite, of another robot or unit, or hold efforts that
-                cannot be; or `current_term` meets efforts that are no currents.
+            FitError: The data are not finite, are of a different robot or unit, or contain
+                impossible efforts. The setting `current_term` is on although the efforts are
+                torques.
         """
         require_robot(dataset, robot)
         loaded = any(not load_of(condition).is_empty for condition in dataset.conditions)
@@ -130,15 +136,16 @@ class StaticModel(WlsEstimator):
         return dwells
 
     def predict(self, dataset: Dataset) -> Prediction:
-        """Gravity, offset and payload per row, from the measured positions.
+        """Return the effort of every row from the measured positions, with its components.
 
-        Rows in motion are predicted too, but marked as not valid. With `current_term` the
-        *measured* effort of the dataset is an input as well: such numbers reproduce the paper
-        and say nothing about how well a current can be predicted.
+        The effort of rows in motion is predicted too, but marked as not valid. With `current_term`,
+        the
+        *measured* effort of the dataset is an input; such predictions reproduce the static paper,
+        but do not show how well a current can be predicted.
 
         Raises:
-            DataError: The data are of another robot or unit.
-            FitError: A load is mounted, and the fit knew no drive gains.
+            DataError: Robot or unit of the data differ from those of the model.
+            FitError: A payload is mounted, and the training data had no drive gains.
         """
         self.require_match(dataset)
         self._require_gains(any(not load_of(c).is_empty for c in dataset.conditions))
@@ -152,16 +159,16 @@ class StaticModel(WlsEstimator):
         return Prediction(effort, whole.std, valid, parts)
 
     def stream(self, payload: Payload | None = None) -> Stream:
-        """A predictor for one sample at a time.
+        """Return a predictor for one sample at a time.
 
         Raises:
-            FitError: With `current_term`, for want of the current that is to be predicted; or a
-                load is mounted, and the fit knew no drive gains.
+            FitError: `current_term` is set; a prediction would need the current that is to be
+                predicted. A payload is mounted, and the training data had no drive gains.
         """
         if self.current_term:
             raise FitError(
-                "a model with current_term cannot be streamed: it needs the measured current to "
-                f"predict the current ({self.protocol})",
+                "a model with current_term cannot be streamed: its prediction of the current "
+                f"needs the measured current ({self.protocol})",
                 hint="fit without current_term",
             )
         self._require_gains(payload is not None and not payload.is_empty)
@@ -170,23 +177,23 @@ class StaticModel(WlsEstimator):
     def _check_together(self) -> None:
         if self.current_term and self.form != "paper":
             raise SpecError(
-                "current_term is eq. 20 of the paper and goes with form: paper only",
-                hint="add form: paper, or leave current_term out",
+                "current_term is eq. 20 of the static paper and needs form: paper",
+                hint="set form: paper, or leave out current_term",
             )
 
     def _require_effort(self, dataset: Dataset, needed: str) -> None:
         if needed and dataset.effort_kind != needed:
             raise FitError(
-                f"current_term needs motor currents, the data hold a {dataset.effort_kind}",
+                f"current_term needs motor currents, but the data contain a {dataset.effort_kind}",
                 hint="fit without current_term, or on a recording of currents",
             )
 
     def _require_gains(self, loaded: bool) -> None:
-        """A load adds a torque; without gains nobody knows how much current that is."""
+        """Raise if a payload is mounted and its torque cannot be converted to a current."""
         if loaded and not self.knows_gains:
             raise FitError(
-                "a load is mounted, but the model was fitted to currents without drive gains",
-                hint="fit again on data that say their drive gains",
+                "a payload is mounted, but the model was fitted to currents without drive gains",
+                hint="fit again on data with declared drive gains",
             )
 
     def _open(self) -> None:
@@ -198,7 +205,7 @@ class StaticModel(WlsEstimator):
         return PaperGravity(robot) if self.form == "paper" else BaseGravity(robot)
 
     def _own_terms(self) -> tuple[str, ...]:
-        """What every joint has for itself beside gravity, the offset last."""
+        """Return the names of the terms of each joint besides gravity, the offset last."""
         return ("current_squared", "offset") if self.current_term else ("offset",)
 
     def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
@@ -210,7 +217,7 @@ class StaticModel(WlsEstimator):
         yield slice(0, len(data)), W, data["effort"] * self.torque_scale_ - load
 
     def _own_coefficients(self) -> FloatArray:
-        """(n, k) of the k terms that every joint has for itself, the offset last."""
+        """Return (n, k) the coefficients of the k terms of each joint, the offset last."""
         own: FloatArray = self.coefficients_[len(self._form.names) :]
         return own.reshape(len(self.joint_names_), -1)
 
@@ -230,7 +237,7 @@ class StaticModel(WlsEstimator):
         }
 
     def _at_rest(self, dataset: Dataset) -> BoolArray:
-        """(N,) rows of dwells, and rows of motions in which every joint is slow enough."""
+        """Return (N,) masks of the rows of dwells, and of the rows in which every joint is slow."""
         kinds = np.array([c.kind in ("dwell", "reference") for c in dataset.conditions], dtype=bool)
         resting: BoolArray = kinds[dataset.series_index()]
         if "qd" in dataset.columns:
@@ -239,18 +246,20 @@ class StaticModel(WlsEstimator):
 
 
 def signed_square(current: FloatArray) -> FloatArray:
-    """i²·sign(i) of eq. 16, elementwise."""
+    """Return i²·sign(i) of eq. 16, computed elementwise."""
     squared: FloatArray = current * np.abs(current)
     return squared
 
 
 CURRENT_TERM = parameter(
-    False, flag, doc="Only with `form: paper`: eq. 20 as printed, measured current included."
+    False,
+    flag,
+    doc="Use eq. 20 as printed, with the measured current as an input; only with `form: paper`.",
 )
 
 
 class StaticWls(StaticModel):
-    """Gravity and offset of an arm at rest, weighted joint by joint."""
+    """Gravity and offset of a static arm, fitted by weighting the joints."""
 
     estimator: ClassVar[str] = "static-wls"
 
@@ -258,17 +267,20 @@ class StaticWls(StaticModel):
     weighted: bool = parameter(
         True,
         flag,
-        doc="Weight the joints by their residual; makes no difference to `paper`, whose joints are "
+        doc="Weight the joints by their residuals; no effect with `form: paper`, whose joints are "
         "independent.",
     )
     current_term: bool = CURRENT_TERM
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit to the dwells of the data, or to the stays found in motions without a plan.
+        """Fit the model to the dwells of the data.
+
+        Dwells are detected if the recording has no plan.
 
         Raises:
-            FitError: The data are too few, not finite, of another robot or unit, or do not
-                excite all parameters; or `current_term` meets efforts that are no currents.
+            FitError: The data are too few, not finite, are of a different robot or unit, or do not
+                excite all parameters. The setting `current_term` is on although the efforts are
+                torques.
         """
         dwells = self._dwells(dataset, robot)
         self.samples_ = len(dwells.conditions)
@@ -279,23 +291,25 @@ class StaticWls(StaticModel):
 
 STD_ERROR_GIVEN = (
     "exact drive gains, declared loads, kinematics and form of the model; poses independent of "
-    "each other, whatever the samples and dwells of one pose share (clustered by pose, CR2, "
-    "Student's t with Satterthwaite's degrees of freedom)"
+    "each other, arbitrary correlation within one pose (clustered by pose, CR2, Student's t with "
+    "Satterthwaite's degrees of freedom)"
 )
 
 STD_ERROR_LEAVES_OUT = (
-    "errors of the gains, loads and kinematics; gravity of another form; friction that depends on "
-    "the pose and not on the approach; what all poses have in common, such as temperature"
+    "errors of the gains, loads and kinematics; gravity that the model does not describe; "
+    "friction that depends on the pose and not on the approach direction; effects common to all "
+    "poses, such as temperature"
 )
 
 
 class PoseClustered(StaticModel):
-    """A static model solved joint by joint (`form: paper`) or for all joints at once (`shared`).
+    """Static model fitted joint by joint (`form: paper`) or for all joints together (`shared`).
 
     Attributes:
-        covariance_: (p, p) of the parameters, clustered by pose; 0 between regressions.
-        degrees_: (p,) of Student's t for `interval`.
-        poses_: Number of poses.
+        covariance_: (p, p) covariance of the parameters, clustered by pose; 0 between separate
+            regressions.
+        degrees_: (p,) degrees of freedom of Student's t distribution for `interval`.
+        poses_: Number of poses used in the fit.
     """
 
     covariance_: FloatArray
@@ -303,27 +317,27 @@ class PoseClustered(StaticModel):
     poses_: int
 
     def interval(self, level: float = 0.95) -> FloatArray:
-        """(p, 2) in which each parameter lies with probability `level`; NaN if not told."""
+        """Return (p, 2) the confidence intervals of the parameters; NaN if errors are unknown."""
         return interval(self.coefficients_, self.std_error_, self.degrees_, level)
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """Parameters, their covariance, gains and residual deviations."""
+        """Return parameters, covariance, torque scale and residual deviations as arrays."""
         own = {"covariance": self.covariance_, "degrees": self.degrees_}
         return super().fitted_arrays() | own
 
     def fitted_facts(self) -> dict[str, Any]:
-        """As of every linear model; what the standard errors are given, and the notes."""
+        """Return the entries of a linear model, with the assumptions of the standard errors."""
         errors = self._std_error_facts()
         return super().fitted_facts() | {"std_error": errors, "poses": self.poses_}
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fitted attributes from the output of `fitted_arrays` and `fitted_facts`."""
         super().restore(arrays, facts)
         self.covariance_, self.degrees_ = arrays["covariance"], arrays["degrees"]
         self.poses_ = int(facts["poses"])
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what a fit cannot do without: a pose more than the widest regression has columns.
+        """Return the minimum data requirements: more poses than a regression has columns.
 
         Raises:
             FitError: `form: paper` does not support this robot.
@@ -338,11 +352,11 @@ class PoseClustered(StaticModel):
         return {"given": STD_ERROR_GIVEN, "leaves_out": STD_ERROR_LEAVES_OUT}
 
     def _enough_dwells(self, dataset: Dataset, robot: RobotModel) -> Dataset:
-        """The dwells to fit to, if there are enough poses; sets what is known of them.
+        """Return the dwells for the fit if there are enough poses; set counts and notes.
 
         Raises:
-            FitError: There are fewer poses than parameters of one regression and one more, or see
-                `StaticModel._dwells`.
+            FitError: There are not more poses than parameters of one regression, or
+                `StaticModel._dwells` rejects the data.
         """
         dwells = self._dwells(dataset, robot)
         self.samples_ = len(dwells.conditions)
@@ -358,7 +372,7 @@ class PoseClustered(StaticModel):
         self.condition_, self.correlated_samples_ = 1.0, np.ones(n)
 
     def _require_excited(self, data: Dataset, cube: FloatArray) -> None:
-        """Refuse joints that never moved though gravity depends on them, and constant columns."""
+        """Raise if a joint that affects gravity never moved, or if a column is constant."""
         turn, span = reach_of(self._form, data.n_joints)
         require_motion(data, np.flatnonzero(turn).tolist())
         change, names = np.ptp(cube, axis=0).max(axis=0), self.parameter_names_
@@ -366,7 +380,11 @@ class PoseClustered(StaticModel):
         require_varied(change[gravity], span, names[gravity])
 
     def _unit(self, joints: IntArray) -> FloatArray:
-        """(k,) torque per unit in which the joints are fitted: their efforts, or torques."""
+        """Return (k,) the torque per unit of the fitted target.
+
+        If joints are fitted separately, the target is the effort; if they are fitted together, the
+        target is the torque.
+        """
         alone = self.form == "paper"
         return self.torque_scale_[joints] if alone else np.ones(len(joints))
 
@@ -375,19 +393,19 @@ class PoseClustered(StaticModel):
         return list(joints[:, None]) if self.form == "paper" else [joints]
 
     def _columns_of(self, joints: IntArray) -> IntArray:
-        """Ascending: gravity columns of the joints, then what each has for itself."""
+        """Return the ascending columns of the passed joints: gravity, then the joint terms."""
         gravity = [k for k, j in enumerate(self._form.joint) if j is None or j in joints]
         terms = len(self._own_terms())
         own = [self._offset_of(j) - terms + 1 + t for j in joints for t in range(terms)]
         return np.array([*gravity, *own], dtype=np.int64)
 
     def _offset_of(self, joint: int) -> int:
-        """Column of a joint's offset among all parameters."""
+        """Return the index of a joint's offset among all parameters."""
         return len(self._form.names) + (joint + 1) * len(self._own_terms()) - 1
 
 
 def deviation(residual: FloatArray, parameters: int) -> FloatArray:
-    """(k,) standard deviation of residuals (N, k) that `parameters` fitted together."""
+    """Return (k,) the standard deviation of residuals (N, k) after a fit of `parameters`."""
     joints = residual.shape[1]
     degrees = max(len(residual) - parameters / joints, 1.0)
     found: FloatArray = np.sqrt(np.sum(residual**2, axis=0) / degrees)
@@ -395,22 +413,22 @@ def deviation(residual: FloatArray, parameters: int) -> FloatArray:
 
 
 class GravityForm(Protocol):
-    """Columns that gravity is a linear combination of.
+    """Interface of the columns whose linear combination is the gravity torque.
 
     Attributes:
-        names: Length p.
-        joint: The joint, from 0, that a column belongs to alone; None for shared columns.
+        names: Names of the p columns.
+        joint: Joint of each column, from 0; None if the columns affect all joints.
     """
 
     names: tuple[str, ...]
     joint: tuple[int | None, ...]
 
     def columns(self, q: FloatArray) -> FloatArray:
-        """(N·n, p), sample-major, for positions (N, n)."""
+        """Return (N·n, p) the sample-major columns for positions (N, n)."""
 
 
 class BaseGravity:
-    """The arm's base gravity parameters: first moments that gravity can tell apart."""
+    """Gravity columns of the base parameters of the arm, which are identifiable first moments."""
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
@@ -419,7 +437,7 @@ class BaseGravity:
         self.joint: tuple[int | None, ...] = (None,) * len(self.names)
 
     def columns(self, q: FloatArray) -> FloatArray:
-        """(N·n, p), sample-major."""
+        """Return (N·n, p) the sample-major columns for positions (N, n)."""
         reduced: FloatArray = self._base.reduce(self._robot.gravity_regressor(q))
         return reduced
 
@@ -428,10 +446,12 @@ UR_JOINTS = 6
 
 
 class PaperGravity:
-    """φ₂…φ₅ of the static paper's eq. 15, for Universal Robots arms in their own joint angles.
+    """Gravity columns φ₂…φ₅ of eq. 15 of the static paper, for Universal Robots arms.
 
-    Six columns for joint 2, three for 3, two for 4, one for 5; joints 1 and 6 have none. Four
-    would do for joint 2: the printed six split two sums whose parts have equal coefficients.
+    The joint angles in eq. 15 are the joint angles of the arm. Joint 2 has six columns, joint 3
+    three, joint 4 two and joint 5 one; joints 1 and 6 have no columns. For joint 2, four columns
+    would be sufficient, because the six printed columns split two sums whose terms have equal
+    coefficients.
 
     Raises:
         FitError: The robot does not have six joints, or its base is not level.
@@ -448,18 +468,18 @@ class PaperGravity:
     def __init__(self, robot: RobotModel) -> None:
         if robot.n != UR_JOINTS:
             raise FitError(
-                f"the paper's form is for six-joint UR arms, {robot.name} has {robot.n} joints",
+                f"form: paper is for six-joint UR arms, but {robot.name} has {robot.n} joints",
                 hint="use form: shared",
             )
         if np.any(robot.gravity_vector[:2]):
             raise FitError(
-                "the paper's form is for arms on a level base, but gravity is "
+                "form: paper is for arms on a level base, but gravity is "
                 f"{robot.gravity_vector.tolist()} m/s² in the base frame",
                 hint="use form: shared",
             )
 
     def columns(self, q: FloatArray) -> FloatArray:
-        """(6·N, 12), sample-major, each joint's functions in its own columns."""
+        """Return (6·N, 12) the sample-major columns; each function of eq. 15 is one column."""
         out = np.zeros((len(q), UR_JOINTS, len(self.names)))
         start = 0
         for joint, functions in enumerate(paper_functions(q), start=1):
@@ -469,7 +489,7 @@ class PaperGravity:
 
 
 def paper_functions(q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Eq. 15: φ₂ (N, 6), φ₃ (N, 3), φ₄ (N, 2) and φ₅ (N, 1) for positions (N, 6)."""
+    """Return φ₂ (N, 6), φ₃ (N, 3), φ₄ (N, 2) and φ₅ (N, 1) of eq. 15 for positions (N, 6)."""
     q2, q3, q4, q5 = q[:, 1], q[:, 2], q[:, 3], q[:, 4]
     q23, q234 = q2 + q3, q2 + q3 + q4
     wrist = np.sin(q234), np.cos(q234) * np.sin(q5)
@@ -492,14 +512,14 @@ def paper_functions(q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, 
 
 
 PROBES = 32
-"""Random poses that show which joints gravity depends on, and how far its columns can reach."""
+"""Number of random poses from which the dependence of gravity on each joint is computed."""
 
 
 def reach_of(form: GravityForm, n_joints: int) -> tuple[BoolArray, FloatArray]:
-    """What there is to excite.
+    """Return the dependence of gravity on the joints, and the possible change of each column.
 
     Returns:
-        (n,) which joints the columns depend on, and (p,) by how much each column can change.
+        Mask (n,) of the joints on which the columns depend, and largest change (p,) of each column.
     """
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (PROBES, n_joints))
     columns = form.columns(q)
@@ -510,7 +530,7 @@ def reach_of(form: GravityForm, n_joints: int) -> tuple[BoolArray, FloatArray]:
 
 
 def one_row_each(dwells: Dataset) -> Dataset:
-    """The same series with their samples averaged to one row, temperatures too if measured."""
+    """Return the series with their samples averaged to one row, with temperatures."""
     columns = {"t": dwells["t"][dwells.offsets[:-1]]}
     for name in ("q", "effort", "temperature"):
         if name in dwells.columns:
@@ -519,7 +539,10 @@ def one_row_each(dwells: Dataset) -> Dataset:
 
 
 def pose_numbers(dwells: Dataset) -> IntArray:
-    """(S,) pose of each series, numbered from 0; a series without a pose is one of its own."""
+    """Return (S,) the pose index of each series, from 0.
+
+    A series without a pose gets a separate pose index.
+    """
     known: dict[object, int] = {}
     groups = (group_of(condition, "pose") for condition in dwells.conditions)
     numbers = [known.setdefault(g or index, len(known)) for index, g in enumerate(groups)]
@@ -527,7 +550,7 @@ def pose_numbers(dwells: Dataset) -> IntArray:
 
 
 def scatter(dwells: Dataset) -> FloatArray:
-    """(S, n) variance of each series' effort about its mean; 0 with a single sample."""
+    """Return (S, n) the variance of the effort about its mean in each series; 0 for one sample."""
     effort = dwells["effort"]
     about = effort - series_means(dwells, effort)[dwells.series_index()]
     degrees = np.maximum(np.diff(dwells.offsets) - 1, 1)
@@ -536,11 +559,11 @@ def scatter(dwells: Dataset) -> FloatArray:
 
 
 def short_dwells(dwells: Dataset) -> Iterator[str]:
-    """A note when dwells have fewer samples than the static paper asks for."""
+    """Yield a note if dwells have fewer samples than in the static paper."""
     counts = np.diff(dwells.offsets)
     short = counts[counts < SAMPLES_PER_DWELL]
     if len(short):
         yield (
             f"{len(short)} of {len(counts)} dwells have fewer than {SAMPLES_PER_DWELL} samples "
-            f"(the shortest {short.min()}); each is used as it is"
+            f"(the shortest {short.min()}); each is used unchanged"
         )

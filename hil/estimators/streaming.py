@@ -1,8 +1,9 @@
-"""Prediction of one sample at a time, with the friction state that goes from one to the next.
+"""Prediction of one sample at a time, with a friction state that is updated at every sample.
 
-Every model is fed by the same `SampleStream`; what differs is the memory beside it. Most models
-have none. Friction with Dahl's state carries it along the path (`DahlMemory`), and friction at rest
-follows from the last two seconds of the way into the pose (`ApproachMemory`).
+Every model uses the same `SampleStream`; models differ in the memory object of their stream. Most
+models have no memory of earlier samples. Friction models with Dahl's state update the state along
+the path (`DahlMemory`). Static friction models compute friction from the last two seconds of the
+motion into the pose (`ApproachMemory`).
 """
 
 from __future__ import annotations
@@ -23,19 +24,20 @@ State_co = TypeVar("State_co", covariant=True)
 
 
 class Memory(Protocol[State_co]):
-    """What a model keeps of the samples before the present one."""
+    """Interface of the memory of earlier samples that a model needs."""
 
     def after(self, q: FloatArray, qd: FloatArray) -> State_co:
-        """Return the state after one more sample, position and velocity (1, n) each."""
+        """Update the state with one sample, position and velocity (1, n) each; return the state."""
 
 
 class SampleStream(Generic[State]):
-    """A model fed one sample at a time.
+    """Predictor that receives the motion one sample at a time.
 
     Args:
         n: Number of joints.
         memory: Friction state; its path begins with the first sample.
-        effort: Motion q, qd, qdd, (1, n) each, and the state of the memory → effort (1, n).
+        effort: Function of q, qd, qdd, (1, n) each, and the state of the memory that returns the
+            effort (1, n).
     """
 
     def __init__(
@@ -47,10 +49,12 @@ class SampleStream(Generic[State]):
         self._n, self._memory, self._effort = n, memory, effort
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Predicted effort (n,) for one sample, each input (n,); qd of exactly 0 holds.
+        """Return the predicted effort (n,) for one sample; each input has the shape (n,).
+
+        A velocity of exactly 0 keeps the friction state constant.
 
         Raises:
-            DataError: An input is not one number per joint.
+            DataError: An input does not have one number per joint.
         """
         q, qd, qdd = one_sample(self._n, q, qd, qdd)
         sample: FloatArray = self._effort(q, qd, qdd, self._memory.after(q, qd))[0]
@@ -58,10 +62,10 @@ class SampleStream(Generic[State]):
 
 
 def one_sample(n: int, *motion: FloatArray) -> tuple[FloatArray, ...]:
-    """Each of (n,) as a row (1, n).
+    """Return each input of shape (n,) as a row (1, n).
 
     Raises:
-        DataError: One is not a number per joint.
+        DataError: An input does not have one number per joint.
     """
     try:
         rows = tuple(np.asarray(values, dtype=np.float64).reshape(1, -1) for values in motion)
@@ -70,18 +74,18 @@ def one_sample(n: int, *motion: FloatArray) -> tuple[FloatArray, ...]:
     if any(row.shape[1] != n for row in rows):
         shapes = ", ".join(str(np.shape(values)) for values in motion)
         raise DataError(
-            f"a sample of this stream is one number for each of {n} joints; its q, qd and qdd "
+            f"a sample of this stream needs one number for each of {n} joints, but q, qd and qdd "
             f"have the shapes {shapes}",
-            hint="give every joint of the robot that the model was fitted for",
+            hint="pass a value for every joint of the robot that the model was fitted for",
         )
     return rows
 
 
 class NoMemory:
-    """The memory of a model whose prediction depends on the present sample only."""
+    """Empty memory for models whose prediction depends only on the current sample."""
 
     def after(self, q: FloatArray, qd: FloatArray) -> None:
-        """Nothing is kept."""
+        """Return None, because no state is retained."""
 
 
 Parts = Callable[[FloatArray, FloatArray, FloatArray], dict[str, FloatArray]]
@@ -89,13 +93,14 @@ LoadEffort = Callable[[Payload, FloatArray, FloatArray, FloatArray], FloatArray]
 
 
 class MemorylessStream(SampleStream[None]):
-    """Feeds single samples to a model without memory.
+    """Predictor of single samples for a model without memory.
 
     Args:
         n: Number of joints.
-        parts: (1, n) motion → named parts of the effort.
-        load_effort: Payload and (1, n) motion → effort of the payload.
-        payload: The load mounted.
+        parts: Function of the motion q, qd, qdd, (1, n) each, that returns the effort components by
+            name.
+        load_effort: Function of the payload and the motion that returns the payload effort.
+        payload: Mounted payload.
     """
 
     def __init__(self, n: int, parts: Parts, load_effort: LoadEffort, payload: Payload) -> None:
@@ -107,11 +112,11 @@ class MemorylessStream(SampleStream[None]):
 
 
 class DahlMemory:
-    """Dahl's friction states, carried along the path.
+    """States of Dahl's friction model, updated along the path.
 
     Args:
         length: (n,) shortest length of a state [rad].
-        multiples: Lengths of the states as multiples of the shortest.
+        multiples: Lengths of the states as multiples of the shortest length.
     """
 
     def __init__(self, length: FloatArray, multiples: Sequence[float]) -> None:
@@ -120,9 +125,9 @@ class DahlMemory:
         self._last: FloatArray | None = None
 
     def after(self, q: FloatArray, qd: FloatArray) -> dict[float, FloatArray]:
-        """Return the states (1, n) by their multiple."""
+        """Update the states with one sample; return them, (1, n) each, by their multiple."""
         step = carried_step(q, self._last, qd)
-        # A caller may write the next sample into the same array.
+        # The copy is necessary, because a caller may write the next sample into the same array.
         self._last = q.copy()
         self._states = {
             multiple: advanced(state, step, self._lengths[multiple])
@@ -132,23 +137,28 @@ class DahlMemory:
 
 
 KEPT_S = 2.0
-"""A joint that came to rest longer ago than this has no known approach any more [s]."""
+"""Time after the motion into a pose beyond which the approach direction is unknown [s]."""
 
 FORMING_S = ARRIVAL_POINTS * ARRIVAL_STEP_S + 0.1
-"""Standing still for so long, the arm has the whole path into the pose behind it [s]."""
+"""Dwell time after which the approach path is complete [s]."""
 
 AGAIN_S = 0.04
-"""While the path goes on, friction is computed again this often [s]: it takes milliseconds."""
+"""Interval between friction updates while the approach path is incomplete [s].
+
+One friction update takes milliseconds, which is too long for every sample.
+"""
 
 
 class ApproachMemory:
-    """Friction of an arm at rest, from how it came to its pose.
+    """Static friction computed from the motion into the pose of a stream.
 
-    It is known once the arm has stood for ten samples; before that, and in motion, it is 0.
+    The static friction is computed after ten samples at rest; before that and during motion, it is
+    0.
 
     Args:
-        friction: (1, K, 2, n) path (`hil.data.arrival`) and (1, n) positions → (1, n).
-        rest_speed: Slower than this, every joint is at rest [rad/s].
+        friction: Function of the approach path (1, K, 2, n), see `hil.data.arrival`, and the
+            positions (1, n) that returns the friction (1, n).
+        rest_speed: Speed below which every joint counts as at rest [rad/s].
         period_s: Time between samples [s].
     """
 
@@ -168,7 +178,7 @@ class ApproachMemory:
         self._held: FloatArray | None = None
 
     def after(self, q: FloatArray, qd: FloatArray) -> FloatArray:
-        """Return the friction (1, n) that holds the arm, in effort units."""
+        """Update the path with one sample and return the static friction (1, n) in effort units."""
         self._q.append(q[0].copy())
         self._qd.append(qd[0].copy())
         still = float(np.max(np.abs(qd))) < self._rest_speed

@@ -1,4 +1,4 @@
-"""Errors per joint, trajectory and load, and the verdict against a spec's criteria."""
+"""Evaluation of models per joint, trajectory and payload, with verdicts by acceptance criteria."""
 
 import lazy_loader
 

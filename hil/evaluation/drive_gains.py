@@ -1,4 +1,7 @@
-"""Drive gains of recordings: sources in, gains out; `hil.estimators` sees datasets only."""
+"""Identification of drive gains from recordings on disk.
+
+The methods for drive gains are in `hil.estimators` and use datasets only.
+"""
 
 from __future__ import annotations
 
@@ -24,27 +27,28 @@ GainsMethod = Literal["auto", "known-loads", "controller"]
 def gains_of_sources(
     sources: Sequence[Path], robot: str | None = None, method: GainsMethod = "auto"
 ) -> Gains | ControllerGains:
-    """Drive gains from runs or files.
+    """Return the drive gains identified from runs or files.
 
     Args:
-        sources: One run with several known loads, or one source per load; or recordings of motion
-            in which the controller's currents and torques were logged.
-        robot: Built-in arm or URDF; by default what the data says.
-        method: `known-loads` needs dwells, `controller` needs `torque_target`; `auto` takes the
-            first where there are dwells under several loads, else the second where it can.
+        sources: One run with several known payloads, one source per payload, or recordings of
+            motion with the currents and torques of the controller.
+        robot: Built-in arm or URDF; None for the robot that the data declare.
+        method: The method `known-loads` needs dwells, the method `controller` needs
+            `torque_target`. The value `auto` chooses `known-loads` for dwells with several
+            payloads, and otherwise `controller` if possible.
 
     Raises:
-        DataError: A source cannot be read, or they are of different robots.
-        FitError: They do not tell the gains, see `calibrate_gains` and `controller_gains`.
-        SpecError: There is no such method.
+        DataError: A source cannot be read, or the sources are recordings of different robots.
+        FitError: The data do not determine the gains, see `calibrate_gains` and `controller_gains`.
+        SpecError: The name of the method is unknown.
     """
     if method not in get_args(GainsMethod):
         raise SpecError(
-            f"there is no way {method!r} to find drive gains",
+            f"unknown method {method!r}",
             hint=did_you_mean(method, get_args(GainsMethod)),
         )
     if not sources:
-        raise DataError("no recording was given", hint="hil gains RUN")
+        raise DataError("no recording was given", hint="hil drive-gains RUN")
     kinds: tuple[SeriesKind, ...] = ("dwell", "trajectory")
     named = robot is not None
     parts = [load_source(source, kinds=kinds, any_arm=named) for source in sources]
@@ -55,6 +59,6 @@ def gains_of_sources(
 
 
 def _only_controller(data: Dataset) -> bool:
-    """Whether the controller's log tells gains and known loads do not."""
+    """Return whether only the method `controller` can determine the drive gains."""
     loads = {condition.payload for condition in data.of_kind("dwell").conditions}
     return len(loads) < 2 and shows_controller(data)

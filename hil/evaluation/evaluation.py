@@ -1,13 +1,15 @@
-"""Judging a model on data it has not seen: per source, kind, trajectory, load, and motion.
+"""Evaluation of a model on new data, by source, kind, trajectory, payload and motion.
 
-`rmse_raw` compares with the effort as it was measured, `rmse_filtered` with the same signal after
-a zero-phase Butterworth filter of order 5 at 0.20 of the Nyquist frequency, series by series. Only
-the *measured* signal is filtered, never the prediction. What the filter takes away, raw minus
-filtered, is kept as `noise_floor`: the part of the signal above `cutoff_hz`. It is noise as far as
-the motion is slower than that; friction at a reversal is not, and a model that follows it gets
-`rmse_raw` below this part.
-Dwells are too short to filter; there, a dwell's mean stands for the filtered signal, and
-`noise_floor` is the scatter about it.
+`rmse_raw` is the RMS difference between predicted and measured effort. `rmse_filtered` is the RMS
+difference between the predicted effort and the measured effort after a zero-phase Butterworth
+filter of order 5 at 0.20 of the Nyquist frequency, applied to each series. Only the *measured*
+signal is filtered, never the prediction. `noise_floor` is the RMS of the raw minus the filtered
+effort, which is the part of the signal above `cutoff_hz`. The part above the cut-off is noise if
+the motion is slower than the cut-off. Friction at a reversal is not noise; a model that predicts
+this friction can have an `rmse_raw` below the noise floor.
+
+Dwells are too short to filter. For a dwell, the mean effort replaces the filtered signal, and
+`noise_floor` is the scatter about the mean.
 """
 
 from __future__ import annotations
@@ -35,30 +37,32 @@ from hil.data import (
 )
 
 MEASURED_CUTOFF = 0.20
-"""Of the Nyquist frequency."""
+"""Cut-off of the filter for measured efforts, as a fraction of the Nyquist frequency."""
 
 MEASURED_ORDER = 5
 
 MOVING_RAD_S = 0.05
-"""A joint faster than this is moving; slower, it is at or near standstill."""
+"""Speed above which a joint counts as moving [rad/s]; slower joints count as static."""
 
 METRICS = ("rmse_raw", "rmse_filtered", "noise_floor", "nrmse", "mep", "r")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errors:
-    """How good a model is on one group of rows.
+    """Prediction errors of a model on one group of rows.
 
     Attributes:
-        by: What the group is a group of (`all`, `source`, `kind`, `trajectory`, `load`, `motion`).
-        name: Which one, for people.
-        samples: Rows that were judged.
-        rmse_raw, rmse_filtered: (n,) in the unit of the effort.
-        noise_floor: (n,) RMS of measured minus filtered: the high-frequency part, or the scatter
-            within dwells. No lower bound for `rmse_raw`.
-        nrmse: (n,) `rmse_raw` over the standard deviation of the training or measured signal.
-        mep: (n,) largest error in per cent of the largest measured magnitude.
-        r: (n,) correlation of measured and predicted.
+        by: Kind of the group (`all`, `source`, `kind`, `trajectory`, `load`, `motion`).
+        name: Name of the group as shown to the user.
+        samples: Number of rows that were evaluated.
+        rmse_raw, rmse_filtered: (n,) RMS errors relative to the raw and to the filtered effort, in
+            the unit of the effort.
+        noise_floor: (n,) RMS of the measured minus the filtered effort, which is the high-frequency
+            part, or the scatter within dwells. The error `rmse_raw` can be smaller than the noise
+            floor.
+        nrmse: (n,) `rmse_raw` divided by the standard deviation of the training or measured signal.
+        mep: (n,) largest prediction error in per cent of the largest measured magnitude.
+        r: (n,) correlation of measured and predicted effort.
     """
 
     by: str
@@ -72,13 +76,13 @@ class Errors:
     r: FloatArray
 
     def mean(self, metric: str) -> float:
-        """Mean of a metric over the joints it is defined for; NaN if there are none."""
+        """Return the mean of a metric over joints with a finite value; NaN if there are none."""
         values = np.asarray(getattr(self, metric))
         known = values[np.isfinite(values)]
         return float(np.mean(known)) if len(known) else float("nan")
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form: lists per joint and the means of both RMSEs; undefined values are null."""
+        """Return the errors as JSON values: lists per joint, and means; None if undefined."""
         out: dict[str, Any] = {"by": self.by, "name": self.name, "samples": self.samples}
         out |= {metric: _listed(getattr(self, metric)) for metric in METRICS}
         means = {"mean_raw": self.mean("rmse_raw"), "mean_filtered": self.mean("rmse_filtered")}
@@ -87,18 +91,17 @@ class Errors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """A model's errors on a dataset.
+    """Prediction errors of a model on a dataset.
 
     Attributes:
-        unit: `A` or `N·m`.
-        joint_names: Order of every (n,) array.
-        total: All judged rows.
-        tables: Every grouping, `all` not among them.
-        coverage: Share of the rows for which the model says its prediction is valid; only those
-            are judged.
-        series: Ids of the series judged.
-        cutoff_hz: Lowest and highest cut-off of the filter over the motions; None when there are
-            none (dwells are averaged instead).
+        unit: Unit of the effort, `A` or `N·m`.
+        joint_names: Joint names in the order of every (n,) array.
+        total: Prediction errors on all evaluated rows.
+        tables: Prediction errors on all groups, without the group `all`.
+        coverage: Share of the rows with a valid prediction; only these rows are evaluated.
+        series: Ids of the series that were evaluated.
+        cutoff_hz: Lowest and highest cut-off of the filter over the filtered series [Hz]; None if
+            no series is filtered. Instead of being filtered, dwells are averaged.
     """
 
     unit: str
@@ -114,7 +117,7 @@ class Evaluation:
         return f"<Evaluation on {self.total.samples} samples: mean RMSE {mean}>"
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook."""
+        """Return the errors as an HTML table for a notebook."""
         total = self.total
         facts = {
             "samples": f"{total.samples:,}",
@@ -133,11 +136,11 @@ class Evaluation:
         return card("Evaluation", "", facts, table=(head, rows))
 
     def table(self, by: str) -> tuple[Errors, ...]:
-        """The groups of one grouping."""
+        """Return the prediction errors on the groups of one kind."""
         return tuple(errors for errors in self.tables if errors.by == by)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the evaluation in a form that JSON can store."""
         return {
             "unit": self.unit,
             "joint_names": list(self.joint_names),
@@ -156,17 +159,19 @@ def evaluate(
     *,
     prediction: Prediction | None = None,
 ) -> Evaluation:
-    """Judge a model on a dataset.
+    """Return the prediction errors of a model on a dataset.
 
     Args:
-        model: A fitted model; its own filters act on the motion it predicts from.
-        dataset: Data the model has not seen (see `hil.data.assert_disjoint`).
-        train_std: (n,) standard deviation of the training signal for `nrmse`; by default that of
-            the group judged.
-        prediction: What the model predicts for the dataset, if it is known; else it is computed.
+        model: Fitted model; its filter settings are used for the motion from which it predicts.
+        dataset: Data that were not used in the fit (see `hil.data.assert_disjoint`).
+        train_std: (n,) standard deviation of the training signal for `nrmse`; None for the standard
+            deviation of the evaluated group.
+        prediction: Prediction of the model for the dataset, if already computed; None to compute
+            it.
 
     Raises:
-        DataError: The data are of another robot or unit, or a series is too short to filter.
+        DataError: Robot or unit of the data differ from those of the model, or a series is too
+            short to filter.
     """
     if prediction is None:
         prediction = model.predict(dataset)
@@ -185,9 +190,9 @@ def evaluate(
 
 
 def filtered_effort(dataset: Dataset) -> FloatArray:
-    """(N, n) the measured effort, filtered per series; dwells are averaged instead.
+    """Return (N, n) the measured effort, filtered per series; dwells are averaged.
 
-    Motions too short for the filter's edges stay as they are.
+    Motions that are too short for the filter are not filtered.
     """
     out = np.array(dataset["effort"])
     for condition, rows in dataset.slices():
@@ -199,9 +204,10 @@ def filtered_effort(dataset: Dataset) -> FloatArray:
 
 
 def cutoff_hz(dataset: Dataset) -> tuple[float, float] | None:
-    """Lowest and highest cut-off over the series that are filtered; None without any.
+    """Return the lowest and highest cut-off over the filtered series [Hz]; None without such.
 
-    A fraction of the Nyquist frequency is another frequency for every sample rate.
+    The cut-off is a fraction of the Nyquist frequency; its value in Hz therefore depends on the
+    sample rate.
     """
     found = [
         MEASURED_CUTOFF * sample_rate(dataset["t"][rows]) / 2
@@ -225,7 +231,10 @@ class _Signals:
     train_std: FloatArray | None
 
     def errors(self, by: str, name: str, rows: BoolArray) -> Errors:
-        """Errors over the judged rows; `rows` is (N, 1), or (N, n) to choose per joint."""
+        """Return the prediction errors over the evaluated rows of a group.
+
+        The mask `rows` has the shape (N, 1), or (N, n) if the rows differ between joints.
+        """
         chosen = self.judged & rows
         joints = [self._of_joint(j, chosen[:, j]) for j in range(chosen.shape[1])]
         found = {metric: np.array([joint[metric] for joint in joints]) for metric in METRICS}
@@ -248,7 +257,7 @@ class _Signals:
 
 
 def _groups(dataset: Dataset) -> Iterator[tuple[str, str, BoolArray]]:
-    """Every grouping of the series, with its rows."""
+    """Yield the kind, the name and the row mask of every group of series."""
     series = dataset.series_index()
     for by, name_of in _GROUPINGS.items():
         names = np.array([name_of(condition) for condition in dataset.conditions], dtype=object)
@@ -258,7 +267,7 @@ def _groups(dataset: Dataset) -> Iterator[tuple[str, str, BoolArray]]:
 
 
 def _motion(dataset: Dataset) -> Iterator[tuple[str, BoolArray]]:
-    """Rows (N, n) in which each joint by itself moves or stands still."""
+    """Yield the masks (N, n) of the moving and of the static samples of each joint."""
     if "qd" in dataset.columns:
         moving = np.abs(dataset["qd"]) > MOVING_RAD_S
         yield "moving", moving

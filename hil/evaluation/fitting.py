@@ -1,6 +1,6 @@
-"""A fitted model, stored and judged on held-out data.
+"""Fit of a model to a dataset, storage of the model, and evaluation on held-out data.
 
-The estimators themselves see nothing but datasets; `hil.workflow.fit` reads the recordings.
+Estimators use only datasets; the module `hil.workflow.fit` reads the recordings.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 from hil.core import (
     FitError,
     FloatArray,
+    PluginError,
     RecordingError,
     card,
     number,
@@ -48,13 +49,13 @@ DIGEST_LENGTH = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """A fitted model and where it was stored.
+    """Fitted model with the model folder that stores it.
 
     Attributes:
-        model: Ready to predict.
-        folder: `<estimator>-<digest>`; equal models land in the same folder.
-        seconds: Wall time of the fit, filtering included.
-        train_std: (n,) standard deviation of the training effort, the scale for NRMSE.
+        model: Fitted model.
+        folder: Model folder `<estimator>-<digest>`; equal models have the same folder name.
+        seconds: Wall time of the fit, including filtering [s].
+        train_std: (n,) standard deviation of the training effort, which is the scale of the NRMSE.
     """
 
     model: RobotEstimator
@@ -65,22 +66,22 @@ class Fitted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitReport:
-    """What came of fitting sources.
+    """Result of a fit: the fitted model and its validation on held-out sources.
 
     Attributes:
-        fitted: The model.
-        validation: One per held-out source.
+        fitted: Fitted model.
+        validation: List of the validations on each held-out source.
     """
 
     fitted: Fitted
     validation: tuple[Validation, ...]
 
     def __repr__(self) -> str:
-        told = f"{len(self.validation)} held-out sources"
-        return f"<FitReport {self.fitted.folder}: {self.fitted.seconds:.1f} s, {told}>"
+        held_out = f"{len(self.validation)} held-out sources"
+        return f"<FitReport {self.fitted.folder}: {self.fitted.seconds:.1f} s, {held_out}>"
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook: a row per held-out source."""
+        """Return the validation as an HTML table for a notebook, one row per held-out source."""
         model = self.fitted.model
         unit = "A" if model.effort_kind_ == "current" else "N·m"
         head = (f"RMSE raw [{unit}] on", *model.joint_names_, "mean")
@@ -95,7 +96,7 @@ class FitReport:
         return card("Fit", model.estimator, facts, table=table, notes=notes)
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil fit --json`."""
+        """Return the fit report in the format of `hil fit --json`."""
         return {
             "model": str(self.fitted.folder),
             "estimator": self.fitted.model.estimator,
@@ -115,22 +116,23 @@ def fit_dataset(
     serial: str | None = None,
     **params: Any,
 ) -> Fitted:
-    """Fit an estimator to a dataset and store the model under `out`.
+    """Fit an estimator to a dataset, and store the model under `out`.
 
     Args:
-        dataset: To fit to.
-        estimator: Name in `hil.estimators`.
-        robot: Model of the arm.
-        out: Folder in which the model's folder is made.
-        watch: Told every epoch of estimators that train networks.
-        checkpoints: Folder to keep their training in, and to take it up from; other estimators
-            keep nothing.
-        serial: Of the robot; by default what the dataset's sources say, where they are here.
-        **params: The estimator's own parameters.
+        dataset: Training data.
+        estimator: Name of the estimator in `hil.estimators`.
+        robot: Robot model of the arm.
+        out: Folder in which the model folder is created.
+        watch: Callback for each epoch of an estimator that trains a network.
+        checkpoints: Folder for training checkpoints of networks, from which an interrupted training
+            is resumed; other estimators ignore the folder.
+        serial: Serial number of the robot; if None, the serial number is read from the sources of
+            the dataset.
+        **params: Parameters of the estimator.
 
     Raises:
-        FitError: The data do not allow it.
-        PluginError, SpecError: No such estimator or parameter.
+        FitError: The model cannot be fitted to the data.
+        PluginError, SpecError: The estimator or a parameter does not exist.
     """
     if serial is None:
         named = dict.fromkeys(condition.source for condition in dataset.conditions)
@@ -144,15 +146,15 @@ def fit_dataset(
 def judge_fit(
     fitted: Fitted, train: Dataset, held_out: Iterable[tuple[Path, Dataset]]
 ) -> FitReport:
-    """Judge a model that was just fitted on held-out sources; kept in its folder.
+    """Evaluate a newly fitted model on held-out sources, and store the result in its folder.
 
     Args:
-        fitted: The model.
-        train: What it was fitted to.
-        held_out: Each source, and its samples.
+        fitted: Fitted model.
+        train: Training data of the model.
+        held_out: Pairs of a held-out source and its dataset.
 
     Raises:
-        DataError: What is kept there already is damaged.
+        DataError: The existing evaluation file is damaged.
     """
     judged = tuple(_validated(fitted, train, source, data) for source, data in held_out)
     keep(fitted.folder / EVALUATION_FILE, judged)
@@ -160,11 +162,11 @@ def judge_fit(
 
 
 def judge_source(model: RobotEstimator, source: Path) -> Validation:
-    """Judge a stored model on a source that it has not seen.
+    """Return the validation of a stored model on a new source.
 
     Raises:
-        DataError: The source cannot be read, does not belong to the model, or was among its
-            training data.
+        DataError: The source cannot be read, does not match the model, or contains training data of
+            the model.
     """
     trained = model.training_
     data = usable_part(load_source(source), model)
@@ -177,13 +179,14 @@ def judge_source(model: RobotEstimator, source: Path) -> Validation:
 
 
 def usable_part(dataset: Dataset, model: RobotEstimator) -> Dataset:
-    """Return the series of the kinds an estimator learns from, the preferred ones if there are any.
+    """Return the series of the kinds that an estimator uses, if possible of its preferred kinds.
 
-    Moves too short for a filter are left out where there are longer ones: an axis that slips in
-    the middle of a dwell makes one, and so does a recorded clock that pauses near a move's end.
+    Moves that are too short for a filter are left out if the dataset contains longer moves. Such
+    short moves occur if an axis slips during a dwell, or if a recorded clock pauses near the end of
+    a move.
 
     Raises:
-        FitError: There are none.
+        FitError: The dataset contains no series of the kinds that the estimator uses.
     """
     for kinds in model.series_kinds:
         chosen = dataset.of_kind(*kinds)
@@ -192,8 +195,8 @@ def usable_part(dataset: Dataset, model: RobotEstimator) -> Dataset:
     wanted = " or ".join(kind for kinds in model.series_kinds for kind in kinds)
     have = ", ".join(sorted({condition.kind for condition in dataset.conditions})) or "nothing"
     raise FitError(
-        f"{model.estimator} works on {wanted} data, but there is only {have}",
-        hint="record the excitation it needs, or choose another estimator",
+        f"{model.estimator} needs {wanted} data, the recording contains: {have}",
+        hint="record such an excitation, or choose a different estimator",
     )
 
 
@@ -204,27 +207,38 @@ def _without_short_moves(dataset: Dataset) -> Dataset:
     return dataset.take(kept) if 0 < len(kept) < len(lengths) else dataset
 
 
+SET_BY_FIT = ("robot_", "joint_names_", "effort_kind_", "torque_scale_", "sigma_", "samples_")
+"""Names of the attributes that every fitted estimator has."""
+
+
 def fit_model(
     model: RobotEstimator, dataset: Dataset, robot: RobotModel, out: Path, serial: str
 ) -> Fitted:
-    """Fit an estimator to a dataset and store the model under `out`.
+    """Fit an estimator to a dataset, and store the model under `out`.
 
     Args:
-        model: Of the estimator, not fitted.
-        dataset: To fit to.
-        robot: Model of the arm.
-        out: Folder in which the model's folder is made.
-        serial: Of the robot; empty when nobody said.
+        model: Estimator that is not fitted yet.
+        dataset: Training data.
+        robot: Robot model of the arm.
+        out: Folder in which the model folder is created.
+        serial: Serial number of the robot; empty if unknown.
 
     Raises:
-        FitError: The data do not allow it.
-        RecordingError: The model cannot be written there.
+        FitError: The model cannot be fitted to the data.
+        PluginError: The method `fit` of the estimator does not set an attribute that every fitted
+            estimator has.
+        RecordingError: The model folder cannot be written.
     """
     train = usable_part(dataset, model)
     begin = time.perf_counter()
-    # The matrices are tall and thin: more BLAS threads only spin (measured: 20× slower).
+    # With tall and thin matrices, several BLAS threads are 20 times slower than one (measured).
     with threadpool_limits(1):
         model.fit(train, robot)
+    if missing := [name for name in SET_BY_FIT if not hasattr(model, name)]:
+        raise PluginError(
+            f"fit() of {plugins.origin_of(model)} does not set {', '.join(missing)}",
+            hint="set them, or derive the estimator from hil.estimators.RigidLinear",
+        )
     seconds = time.perf_counter() - begin
     training = replace(Training.of(train), serial=serial)
     model.training_ = training
@@ -232,12 +246,14 @@ def fit_model(
 
 
 def broken_down(estimator: str, error: Exception, subject: str) -> FitError:
-    """Return the error of an estimator, usually a plug-in, that raised what none should raise.
+    """Return a FitError for an unexpected exception of an estimator, usually a plug-in.
 
     Args:
-        estimator: Its name.
-        error: What it raised; the place in the estimator's own package is named.
-        subject: Begins the message: its name, or `it` where the name stands before.
+        estimator: Name of the estimator that raised the exception.
+        error: Unexpected exception; the message contains the place where it was raised in the
+            package of the estimator.
+        subject: First word of the message: the name of the estimator, or `it` if the message
+            already contains the name.
     """
     package = plugins.find(GROUP, estimator).module.partition(".")[0]
     place = ""
@@ -246,15 +262,15 @@ def broken_down(estimator: str, error: Exception, subject: str) -> FitError:
             code = frame.f_code
             place = f" (…/{Path(code.co_filename).name}:{line} in {code.co_name})"
     failed = FitError(
-        f"{subject} broke down: {type(error).__name__}: {error}{place}",
-        hint="this is a fault of the estimator: report it to whoever wrote it",
+        f"{subject} failed: {type(error).__name__}: {error}{place}",
+        hint="the estimator has a bug: report it to its author",
     )
     failed.__cause__ = error
     return failed
 
 
 def _store(model: RobotEstimator, out: Path) -> Path:
-    """Write the model's folder; an equal model that is there already stays as it is."""
+    """Write the model folder and return its path; the folder of an equal model is not changed."""
     files = model_files(model)
     digest = hashlib.sha256(b"".join(files.values())).hexdigest()[:DIGEST_LENGTH]
     folder = out / f"{model.estimator}-{digest}"
@@ -262,7 +278,7 @@ def _store(model: RobotEstimator, out: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
-            f"cannot make {folder}: {error.strerror}", hint="choose another folder for models"
+            f"cannot create {folder}: {error.strerror}", hint="choose a different folder for models"
         ) from None
     for name, content in files.items():
         if not (folder / name).exists():
@@ -284,16 +300,16 @@ def _validated(fitted: Fitted, train: Dataset, source: Path, data: Dataset) -> V
 
 
 def one_serial(sources: Sequence[Path]) -> str:
-    """Return the serial number of the robot of all sources; empty when nobody said.
+    """Return the serial number of the robot of all sources; empty if it is unknown.
 
     Raises:
-        FitError: They are of several robots.
+        FitError: The sources are recordings of several robots.
     """
     serials = {serial: source for source in sources if (serial := serial_of(source))}
     if len(serials) > 1:
         listed = ", ".join(f"{serial} ({source.name})" for serial, source in serials.items())
         raise FitError(
             f"the training data are of {len(serials)} different robots, by serial number: {listed}",
-            hint="fit each robot by itself; judge its model on the others with --validate",
+            hint="fit each robot separately; evaluate its model on the others with --validate",
         )
     return next(iter(serials), "")

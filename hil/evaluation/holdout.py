@@ -1,4 +1,4 @@
-"""What of a run is fitted on and what is judged on: whole motions, whole loads, or both."""
+"""Division of a run into training and hold-out set by whole motions, whole payloads, or both."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.data import Conditions, Dataset, Group, assert_disjoint, group_of, grou
 from hil.spec import HoldOut
 
 Motion: TypeAlias = tuple[str, Group]
-"""`pose` or `trajectory`, and which one."""
+"""Kind (`pose` or `trajectory`) and group of a measured motion."""
 
 NEW_LOAD = "new load, seen motion"
 NEW_MOTION = "new motion, seen load"
@@ -19,14 +19,15 @@ NEW_MOTION = "new motion, seen load"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parts:
-    """What is fitted on and what is judged on; whole poses, trajectories and loads.
+    """Training and hold-out set of a run, made of whole poses, trajectories and payloads.
 
     Attributes:
-        train: What the fit sees.
-        test: What the verdict is about.
-        held_out: What `test` is, in words.
-        beside: Held-out series that share the load or the motion with the training; reported,
-            but not judged.
+        train: Training data.
+        test: Hold-out set on which the verdict is based.
+        held_out: Description of the hold-out set for the user.
+        beside: Held-out series that share payload or motion with the training data, each with a
+            description. The series in `beside` are reported, but the verdict does not depend on
+            them.
     """
 
     train: Dataset
@@ -36,15 +37,18 @@ class Parts:
 
 
 def hold_out(data: Dataset, how: HoldOut) -> Parts:
-    """Split measuring series (dwells and trajectories) as a spec says; others are left out.
+    """Return the training and hold-out set that a run specifies.
 
-    Poses and shares of trajectories are drawn by seed; a number of trajectories are the last ones
-    of the program. Where loads *and*
-    motions are held out, the model is fitted on neither: it is judged on the held-out motions
-    under the held-out loads, and the two other combinations are kept apart in `beside`.
+    Only dwells and trajectories are included.
+
+    Poses and percentages of trajectories are chosen at random by the seed. A number of trajectories
+    refers to the last trajectories of the program. If payloads *and* motions are held out, the
+    training set contains neither the held-out payloads nor the held-out motions. The hold-out set
+    then contains the held-out motions with the held-out payloads, and `beside` contains the two
+    other combinations.
 
     Raises:
-        DataError: Nothing would be left on one side, or the sides share samples.
+        DataError: The training or the hold-out set is empty, or the two sets share samples.
     """
     motions = _held_motions(data, how)
     loads = set(how.loads)
@@ -57,32 +61,33 @@ def hold_out(data: Dataset, how: HoldOut) -> Parts:
         beside = ((NEW_LOAD, part(False, True)), (NEW_MOTION, part(True, False)))
         kept = tuple((what, found) for what, found in beside if found.conditions)
         what = f"{_motions(motions, how)} with {_loads(data, loads)}"
-        said = f"{what}: motions and loads the fit has not seen"
-        return _checked(Parts(train, part(True, True), said, kept))
+        text = f"{what}: motions and payloads that are not in the training data"
+        return _checked(Parts(train, part(True, True), text, kept))
     if loads:
-        said = f"{_loads(data, loads)}, motions seen in training with other loads"
-        return _checked(Parts(train, part(False, True), said), same_motions=True)
+        text = f"{_loads(data, loads)}, motions of the training data with other payloads"
+        return _checked(Parts(train, part(False, True), text), same_motions=True)
     return _checked(Parts(train, part(True, False), _motions(motions, how)))
 
 
 def assert_new_pairs(train: Dataset, test: Dataset) -> None:
-    """Refuse a test set that shares a motion under the same load, or samples, with the training.
+    """Raise if test and training set share samples, or a motion with the same payload.
 
-    The weaker sister of `assert_disjoint`, for models judged on a load they have not seen.
+    The check is weaker than `assert_disjoint`, and is used for models that are evaluated on a new
+    payload.
 
     Raises:
-        DataError: Something is shared; the message names it.
+        DataError: A motion or samples are shared; the message names the shared motion or samples.
     """
     pairs = [{(_motion(c), c.load) for c in data.conditions} for data in (train, test)]
     if shared := pairs[0] & pairs[1]:
         motion, load = min(shared, key=str)
         what = f"{motion[0]} {motion[1][1]}" if motion else "a motion without number"
         raise DataError(
-            f"{len(shared)} motion(s) are in both training and test data under the same load, "
+            f"{len(shared)} motion(s) are in both training and test data with the same payload, "
             f"the first is {what} with load {load}",
-            hint="hold out whole loads, or whole motions",
+            hint="hold out complete payloads, or complete motions",
         )
-    assert_disjoint(_without_numbers(train), _without_numbers(test))  # what is left: the samples
+    assert_disjoint(_without_numbers(train), _without_numbers(test))  # only compares the samples
 
 
 def _held_motions(data: Dataset, how: HoldOut) -> set[Motion]:
@@ -116,7 +121,7 @@ def _held_trajectories(data: Dataset, how: HoldOut) -> set[Motion]:
 
 
 def _motion(condition: Conditions) -> Motion | None:
-    """What was measured; None for a warm-up, a move between two poses, a reference visit."""
+    """Return the measured motion of a series; None for a warm-up, a move or a reference visit."""
     if condition.kind == "dwell":
         group = group_of(condition, "pose")
         return None if group is None else ("pose", group)
@@ -139,7 +144,10 @@ def _of(
 
 
 def _loads(data: Dataset, loads: set[int]) -> str:
-    """By mass, `1 kg and 3 kg`; by number where one mass is mounted twice."""
+    """Return a description of payloads by their masses, such as `1 kg and 3 kg`.
+
+    If two payloads have the same mass, the description contains payload numbers instead of masses.
+    """
     masses = {condition.load: f"{condition.payload.mass:.4g} kg" for condition in data.conditions}
     known = list(masses.values())
     names = [
@@ -152,7 +160,7 @@ def _loads(data: Dataset, loads: set[int]) -> str:
 def _motions(motions: set[Motion], how: HoldOut) -> str:
     count = {kind: sum(k == kind for k, _ in motions) for kind in ("pose", "trajectory")}
     poses, trajectories = count["pose"], count["trajectory"]
-    said = {
+    texts = {
         "pose": "1 pose" if poses == 1 else f"{poses} poses",
         "trajectory": "the last trajectory"
         if trajectories == 1
@@ -161,20 +169,20 @@ def _motions(motions: set[Motion], how: HoldOut) -> str:
     if how.trajectories_percent is not None:
         drawn = ", ".join(str(number) for kind, (_, number) in sorted(motions) if kind != "pose")
         word = "trajectory" if trajectories == 1 else "trajectories"
-        said["trajectory"] = f"{word} {drawn} (drawn, counted from 0)"
-    return " and ".join(said[kind] for kind in count if count[kind])
+        texts["trajectory"] = f"{word} {drawn} (drawn, counted from 0)"
+    return " and ".join(texts[kind] for kind in count if count[kind])
 
 
 def _checked(parts: Parts, *, same_motions: bool = False) -> Parts:
     if not len(parts.test):
         raise DataError(
-            "nothing is held out, so the model cannot be judged",
+            "no data are held out, so the model cannot be evaluated",
             hint="set validate.hold_out in the spec (trajectories, poses_percent or loads)",
         )
     if not len(parts.train):
         raise DataError(
-            "everything is held out, so there is nothing to fit on",
-            hint="hold out less: validate.hold_out in the spec",
+            "all data are held out, so no data are left for the fit",
+            hint="reduce validate.hold_out in the spec",
         )
     (assert_new_pairs if same_motions else assert_disjoint)(parts.train, parts.test)
     for _, other in parts.beside:

@@ -1,4 +1,4 @@
-"""The payload of recordings: a stored model and sources in, the payload out."""
+"""Payload identification with a stored model, for recordings on disk."""
 
 from __future__ import annotations
 
@@ -37,28 +37,33 @@ def estimate_payload(
     bare: AnyPath | Iterable[AnyPath] = (),
     gain_share: float | None = None,
 ) -> PayloadEstimate:
-    """The load that was mounted in recordings, by a saved model of the arm.
+    """Return the payload that was mounted during recordings, identified with a stored arm model.
 
-    A recording of an arm at rest tells mass and centre of mass, one of motion inertia as well.
-    Where no source holds a trajectory, or the model knows only an arm at rest, the load is told by
-    its weight alone (`estimate_payload_at_rest`).
+    Static poses determine the mass and the centre of mass; a motion also determines the inertia. If
+    no source contains a trajectory, or if the model is only valid for a static arm, only the mass
+    and the centre of mass are identified (`estimate_payload_at_rest`).
 
     Args:
-        model: Its folder.
-        sources: Run directories or MCAP files recorded with that load, or just one.
-        friction: What of the model's friction may differ on that day: nothing (`model`), an
-            `offset` per joint, or an offset and a factor (`scale`); `auto` lets the recording
-            choose, by stretches that are left out in turn. At rest it is `auto`.
-        bare: At rest: the same program run with nothing mounted, nor declared; much smaller errors.
-        gain_share: Standard deviation of a drive gain, as a share of it, for the errors; by default
-            what `usual_gain_share` says: 0.05, or 0.01 where they were calibrated (`hil gains`);
-            torques have none.
+        model: Model folder.
+        sources: One or several run directories or MCAP files, all recorded with one payload.
+        friction: Friction parameters to re-estimate: no parameter (`model`), an offset per joint
+            (`offset`), or an offset and a factor per joint (`scale`). The value `auto` chooses the
+            treatment by cross-validation over stretches of the recording. For static poses, only
+            the treatment `auto` is allowed.
+        bare: Recordings of the same program without mounted or declared payload; only for static
+            poses, for which they strongly reduce the errors.
+        gain_share: Standard deviation of a drive gain, as a share of the gain. If None,
+            `usual_gain_share` defines the share: 0.05, or 0.01 for calibrated gains (`hil
+            drive-gains`). For torque data, `gain_share` is not used, because torques need no drive
+            gains.
 
     Raises:
-        DataError: A source cannot be read, is of another robot, or was fitted to; or
-            `bare` is one of the sources or declares a load.
-        FitError: The recording does not tell the load.
-        SpecError: There is no such way to treat friction, or `bare` was given with motion.
+        DataError: A source cannot be read, is a recording of a different robot, or contains
+            training data of the model. A recording in `bare` is also among the sources, or declares
+            a payload.
+        FitError: The recording does not determine the payload sufficiently.
+        SpecError: The friction treatment is unknown, or `bare` was passed although the recording
+            contains a motion.
     """
     folder, recordings, bare_flange = path_of(model), paths_of(sources), paths_of(bare)
     require_friction(friction)
@@ -88,7 +93,7 @@ def estimate_payload(
 
 
 def _at_rest(model: RobotEstimator, parts: Sequence[Dataset]) -> bool:
-    """Whether a load is to be told by its weight alone."""
+    """Return whether the payload is identified from static poses alone."""
     moving = any(condition.kind == "trajectory" for part in parts for condition in part.conditions)
     return "dwell" in model.series_kinds[0] or not moving
 
@@ -96,34 +101,37 @@ def _at_rest(model: RobotEstimator, parts: Sequence[Dataset]) -> bool:
 def _require_fitting_options(at_rest: bool, friction: str, bare: Sequence[Path]) -> None:
     if bare and not at_rest:
         raise SpecError(
-            "a weighing of the bare flange goes with a recording of an arm at rest, this is motion",
-            hint="leave --bare out",
+            "a recording of the bare flange is used only with static poses, but this recording "
+            "contains motion",
+            hint="leave out --bare",
         )
     if at_rest and friction != "auto":
         raise SpecError(
-            f"friction {friction} goes with motion, but this is an arm at rest: there two "
-            "approaches cancel it",
-            hint="leave --friction out",
+            f"friction {friction} is for motion, but this recording contains static poses, where "
+            "the two approach directions cancel friction",
+            hint="leave out --friction",
         )
 
 
 def _tare(sources: Sequence[Path], bare: Sequence[Path]) -> Dataset:
-    """The weighings of the bare flange."""
+    """Return the recordings of the bare flange, combined into one dataset."""
     loaded = {source.resolve() for source in sources}
     parts = []
     for one in bare:
         if one.resolve() in loaded:
             raise DataError(
-                f"{one} is to be weighed and is the bare flange as well",
-                hint="--bare is another run of the same program, with nothing mounted",
+                f"{one} is passed both with payload and as the bare flange",
+                hint="for --bare, pass a different run of the same program without payload",
             )
         part = load_source(one)
         declared = max(condition.payload.mass for condition in part.conditions)
         if declared > 0.0:
-            # It would lean on a load that is not there, and come to rest otherwise.
+            # The controller would compensate a payload that is not mounted, which changes the way
+            # in which the joints come to rest.
             raise DataError(
-                f"{one} is to be the bare flange, but declares {declared:g} kg to the controller",
-                hint="run it again with `loads: [{mass_kg: 0}]` in its spec",
+                f"{one} is passed as the bare flange, but declares {declared:g} kg to the "
+                "controller",
+                hint="repeat the run with `loads: [{mass_kg: 0}]` in its spec",
             )
         parts.append(part)
     return Dataset.concatenate(parts)
@@ -135,19 +143,19 @@ def _notes(model: RobotEstimator, data: Dataset, gain_share: float | None) -> It
     if gain_share is None:
         share = 100 * usual_gain_share(model)
         yield (
-            f"± holds drive gains known to {share:.0f} % each; --gain-percent says how well they "
-            "are, hil gains calibrates them"
+            f"± includes an uncertainty of {share:.0f} % of each drive gain; set it with "
+            "--gain-percent, calibrate the gains with hil drive-gains"
         )
     declared = data.drive_gains
     if declared is not None and not np.allclose(declared, model.torque_scale_, rtol=1e-3):
         yield (
-            "the model's drive gains count, not those the recording declares: "
-            f"{model.gains_source_ or 'nobody said where they come from'}"
+            "the drive gains of the model are used, not those declared in the recording; their "
+            f"source: {model.gains_source_ or 'unknown'}"
         )
 
 
 def usual_gain_share(model: RobotEstimator) -> float:
-    """Standard deviation of a model's drive gains [share of them], by where they come from."""
+    """Return the relative standard deviation of the drive gains of a model, by their source."""
     if model.effort_kind_ == "torque":
         return 0.0
     return CALIBRATED_SHARE if calibrated(model.gains_source_) else GAIN_SHARE

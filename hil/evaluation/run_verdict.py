@@ -1,8 +1,8 @@
-"""The verdict on a run, `verdict.json`: its recording and its models apart, and what is not judged.
+"""Verdict on a run (`verdict.json`), with separate verdicts on its recording and its models.
 
-A model that is missing keeps a run from passing, but does not reject it. This module stands apart
-from `hil.evaluation.verdict`, which judges the models, as lists of runs read the verdict of each
-and start without estimators and specs.
+A run with a missing model does not pass, but is not rejected because of the missing model alone.
+The module is separate from `hil.evaluation.verdict`, because run lists read many verdicts and must
+not import estimators and specs.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ VerdictWord = Literal["passed", "rejected", "not judged"]
 
 @dataclass(frozen=True, slots=True)
 class FailedFit:
-    """A model that could not be fitted or judged, and why.
+    """Model that could not be fitted or evaluated, with the reason of the failure.
 
     Attributes:
-        estimator: Its name; empty where it concerns all of them.
-        error: What happened.
+        estimator: Name of the estimator; empty if the error concerns all models.
+        error: Message of the failed fit or evaluation.
     """
 
     estimator: str
     error: HilError
 
     def to_dict(self) -> dict[str, str]:
-        """JSON form."""
+        """Return the failure as an entry for JSON."""
         return {
             "estimator": self.estimator,
             "error": self.error.message,
@@ -48,16 +48,18 @@ def verdict_document(
     not_judged: Sequence[Mapping[str, str]] = (),
     problems: Sequence[FailedFit] = (),
 ) -> dict[str, Any]:
-    """The content of `verdict.json`.
+    """Return the content of the file `verdict.json`.
 
-    `passed` is the verdict on the run: false when any criterion is missed, be it the recording's;
-    true only when model criteria are met and no model is missing; null otherwise.
+    The key `passed` is the verdict on the run. `passed` is false if any criterion is not met,
+    including the criteria on the recording. `passed` is true only if all criteria on models are met
+    and no model is missing. If `passed` is neither false nor true by these rules, its value is
+    null.
 
     Args:
-        recording: Rows judged on the recording.
-        models: Rows judged on held-out data; only those of honest models.
-        not_judged: Models that no criterion was applied to although there are some.
-        problems: Models that are missing.
+        recording: Verdict rows of the criteria on the recording.
+        models: Verdict rows of the criteria on held-out data, only of honest models.
+        not_judged: Models to which no criterion was applied although the spec contains criteria.
+        problems: Models that could not be fitted or evaluated.
     """
     of_recording, of_models = _passed(recording), _passed(models)
     if problems and of_models:
@@ -81,14 +83,14 @@ def _passed(rows: Sequence[Mapping[str, Any]]) -> bool | None:
 
 
 def _word(passed: bool | None) -> VerdictWord:
-    """Return `passed`, `rejected` or `not judged`."""
+    """Return the verdict as text: `passed`, `rejected` or `not judged`."""
     if passed is None:
         return "not judged"
     return "passed" if passed else "rejected"
 
 
 def recording_rows(accept: Accept, counts: Mapping[str, int]) -> list[dict[str, Any]]:
-    """The criteria on the recording: share of samples missing by the device's clock."""
+    """Return the verdict rows on the recording: share of missing samples by the device clock."""
     if accept.gaps_percent is None:
         return []
     missing = counts["missing"]
@@ -109,9 +111,9 @@ def recording_rows(accept: Accept, counts: Mapping[str, int]) -> list[dict[str, 
 
 
 def verdict_word(run: Path) -> VerdictWord:
-    """Return `passed`, `rejected` or `not judged`, as `verdict.json` of a run directory says.
+    """Return the verdict in the file `verdict.json` of a run: `passed`, `rejected` or `not judged`.
 
-    A file that is missing, damaged or may not be read says nothing.
+    If the file is missing, damaged or unreadable, the verdict is `not judged`.
     """
     file = run / "verdict.json"
     try:

@@ -1,12 +1,12 @@
-"""Validation of a model on recordings it has not seen: errors, notes, and its load checked.
+"""Validation of a model on new recordings: errors, notes, and a check of the payload.
 
-A model is not judged on what it was fitted to (`require_unseen`). Where that cannot be refused,
-because every sample is new and yet nothing else is, a note says so.
+A model is never evaluated on its training data (`require_unseen`). If all samples are new but the
+motion or the individual robot gives reason for doubt, a note reports the doubt.
 
-A recording with a load that the model was not fitted with is judged with that load, too
-(`under_load`): as declared, unaware of it, and as the recording itself tells. One recording has no
-other motion to identify its load from, so each half of every series is predicted with the load that
-the other half tells.
+A recording with a payload that was not in the training data is also evaluated with this payload
+(`under_load`): as declared, without payload, and as identified from the recording. A single
+recording contains no second motion from which its payload could be identified. The effort of each
+half of every series is therefore predicted with the payload identified from the other half.
 """
 
 from __future__ import annotations
@@ -41,13 +41,14 @@ EVALUATION_FILE = "evaluation.json"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Validation:
-    """A model's errors on one source.
+    """Prediction errors of a model on one source.
 
     Attributes:
-        source: Run directory or file.
-        errors: The evaluation.
-        notes: What to know before believing it, for people.
-        under_load: How it does under the load of the source; None where that is no new one.
+        source: Path of the run directory or file.
+        errors: Evaluation of the model on the source.
+        notes: List of notes for the user that limit the significance of the errors.
+        under_load: Evaluation with the payload of the source; None if the payload was in the
+            training data.
     """
 
     source: str
@@ -59,18 +60,18 @@ class Validation:
         return f"<Validation on {self.source}: {self.errors!r}>"
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook."""
+        """Return the validation as an HTML summary for a notebook."""
         return card("Validation on", self.source, {}, notes=self.notes) + self.errors._repr_html_()
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil fit --json` and `hil evaluate --json`."""
+        """Return the validation in the format of `hil fit --json` and `hil evaluate --json`."""
         total = self.errors.total.to_dict()
         keys = ("rmse_raw", "rmse_filtered", "mean_raw", "mean_filtered", "noise_floor", "nrmse")
         named = {"source": self.source, "unit": self.errors.unit}
         return named | {key: total[key] for key in keys} | self._beside()
 
     def to_keep(self) -> dict[str, Any]:
-        """An entry of a model's `evaluation.json`."""
+        """Return the validation as an entry for the `evaluation.json` of a model."""
         return {"source": self.source, **self.errors.to_dict(), **self._beside()}
 
     def _beside(self) -> dict[str, Any]:
@@ -79,10 +80,10 @@ class Validation:
 
 
 def keep(path: Path, judged: Sequence[Validation]) -> None:
-    """Add evaluations to a model's file; what it says about other sources stays.
+    """Add validations to the evaluation file of a model; entries of other sources are kept.
 
     Raises:
-        DataError: The file is there and is no evaluation.
+        DataError: The evaluation file exists but is not valid.
     """
     if not judged:
         return
@@ -103,68 +104,70 @@ def _evaluations(path: Path) -> dict[str, Any]:
         _ = [entry["source"] for entry in document.get("validation", ())]
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise DataError(
-            f"{path} is no evaluation: {error}", hint="move it away, then fit again"
+            f"{path} is not a valid evaluation: {error}", hint="move it away, then fit again"
         ) from error
     return document
 
 
 def seen_share(model: RobotEstimator, data: Dataset) -> float:
-    """Share of a dataset's samples that are among those a model was fitted to."""
+    """Return the share of the samples of a dataset that are in the training data of a model."""
     return model.training_.rows.share_known(data) if model.training_ else 0.0
 
 
 def require_unseen(model: RobotEstimator, source: Path, data: Dataset) -> None:
-    """Refuse to judge a model on its own training data.
+    """Raise if a recording contains training data of the model.
 
     Raises:
-        DataError: They are among the data; older model files cannot tell.
+        DataError: The recording contains training samples of the model. A model without a summary
+            of its training data cannot be checked and is therefore accepted.
     """
     share = seen_share(model, data)
     if model.training_ and share > SAME_SHARE:
         raise DataError(
-            f"{source}: about {100 * share:.0f} % of its samples are among those the model was "
-            f"fitted to ({', '.join(model.training_.sources) or 'its training data'})",
-            hint="judge the model on a recording it has not seen",
+            f"{source}: about {100 * share:.0f} % of its samples are training data of the model "
+            f"({', '.join(model.training_.sources) or 'sources unknown'})",
+            hint="evaluate the model on a recording that its fit did not use",
         )
 
 
 def serial_notes(serial: str, source: Path) -> Iterator[str]:
-    """A note when a source is of another individual than the training data."""
+    """Yield a note if source and training data are of different individual robots."""
     other = serial_of(source)
     if serial and other and serial != other:
         yield f"recorded on another robot (serial {other}) than the training data ({serial})"
 
 
 SAME_MOTION_SHARE = 0.5
-"""Share of a held-out series' poses in the training data above which it is no new motion."""
+"""Share of a held-out series' poses in the training data above which its motion is not new."""
 
 
 def motion_notes(train: Dataset, test: Dataset) -> Iterator[str]:
-    """A note when the test data repeat motions: no sample is shared, yet nothing is new."""
+    """Yield a note if the test data repeat motions of the training data with new samples."""
     shares = revisited(train, test)
     known = [share for share in shares.values() if share > SAME_MOTION_SHARE]
     if known:
         yield (
-            f"{len(known)} of {len(shares)} series lead through poses of the training data again "
-            "(the same program?): errors on them say little about new motions"
+            f"{len(known)} of {len(shares)} series pass through poses of the training data (the "
+            "same program?), so their errors say little about new motions"
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnderLoad:
-    """What a model is worth on a recording with a load that it was not fitted with, or a wrong one.
+    """Evaluation of a model on a recording with a new or wrongly declared payload.
 
     Attributes:
-        declared: The load, as the recording declares it.
-        new: Whether the model was fitted without it; None where nobody knows.
-        rmse: (n,) against the filtered effort, where nobody tells the model of the load
-            (`unaware`), as `declared`, and as the other half of the recording tells (`identified`;
-            not there where it does not).
-        estimate: The load by all of the recording; None where it does not tell.
-        check: The declaration against it.
-        unexplained: What contradicts it unless the drive gains are wrong; nothing where it agrees
-            whatever they are.
-        failed: Why there is none.
+        declared: Payload as declared in the recording.
+        new: Whether the payload was absent in the training data; None if the training payloads are
+            unknown.
+        rmse: (n,) errors relative to the filtered effort, for three payloads: none (`unaware`), the
+            declared payload (`declared`), and the payload identified from the other half of the
+            recording (`identified`, absent if the identification failed).
+        estimate: Payload identified from the whole recording; None if the identification failed.
+        check: Check of the declared payload against the identified payload.
+        unexplained: Contradictions to the declaration that drive-gain errors could explain; empty
+            if there are none.
+        failed: Reason why the identification failed; empty if it succeeded.
     """
 
     declared: Payload
@@ -176,7 +179,7 @@ class UnderLoad:
     failed: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Part of the contract of `hil fit --json` and `hil evaluate --json`."""
+        """Return the evaluation under the payload, in the format of `hil evaluate --json`."""
         found, check = self.estimate, self.check
         return {
             "declared": {"mass_kg": self.declared.mass, "com_m": list(self.declared.com)},
@@ -199,16 +202,18 @@ class UnderLoad:
 def under_load(
     model: RobotEstimator, data: Dataset, known: Collection[Payload] | None
 ) -> UnderLoad | None:
-    """Judge a model under the load of a recording.
+    """Return the evaluation of a model with the payload of a recording.
 
     Args:
-        model: Of the arm.
-        data: The recording, as measured.
-        known: Loads it was fitted with; None where nobody knows.
+        model: Fitted model of the arm.
+        data: Recording, unfiltered.
+        known: Payloads of the training data; None if unknown.
 
     Returns:
-        None where there is nothing to tell: the arm rests, the loads are several, or it is a load
-        that the model knows (nothing, where nobody knows) and the recording does not contradict it.
+        Evaluation; None if the recording is not a pure motion or has several payloads. None is also
+        returned for a payload of the training data if the recording does not contradict its
+        declaration. If the payloads of the training data are unknown, only an empty payload counts
+        as a payload of the training data.
     """
     loads = {condition.payload for condition in data.conditions}
     moving = all(condition.kind == "trajectory" for condition in data.conditions)
@@ -242,7 +247,7 @@ def _errors(model: RobotEstimator, data: Dataset, declared: Payload) -> dict[str
 
 
 def _error(data: Dataset, effort: FloatArray) -> FloatArray:
-    """(n,) RMSE over what the model vouches for; NaN for a joint of which it does so nowhere."""
+    """Return (n,) the RMSE over valid predictions; NaN for a joint without valid predictions."""
     error = filtered_effort(data) - effort
     known = np.isfinite(error)
     count = np.count_nonzero(known, axis=0)
@@ -251,13 +256,16 @@ def _error(data: Dataset, effort: FloatArray) -> FloatArray:
 
 
 def _effort(model: RobotEstimator, data: Dataset, load: Payload) -> FloatArray:
-    """(N, n) effort; NaN where the model does not vouch for it."""
+    """Return (N, n) the predicted effort; NaN if the prediction is not valid."""
     predicted = model.predict(with_identified(data, load))
     return np.where(predicted.valid, predicted.effort, np.nan)
 
 
 def _by_halves(model: RobotEstimator, data: Dataset) -> FloatArray:
-    """(N, n) effort of every half with the load that the other tells; friction is the model's."""
+    """Return (N, n) the effort of each half, predicted with the payload of the other half.
+
+    The friction is that of the model, without a correction.
+    """
     by_first, by_second = (
         _effort(model, data, half.estimate.payload) for half in payload_halves(model, data)
     )

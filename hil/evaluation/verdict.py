@@ -1,9 +1,9 @@
-"""Verdicts on models: held-out errors against the acceptance criteria of a spec.
+"""Verdicts on models: comparison of held-out errors with the acceptance criteria of a spec.
 
-`judge` sets the errors of one evaluation against criteria and returns a row per criterion and
-joint. `judged_model` evaluates a fitted model on what a run holds out and judges it, the same for a
-run and for a fleet; criteria apply to honest models alone. The verdict on the run, of its recording
-and all its models, is in `hil.evaluation.run_verdict`.
+`judge` compares the errors of one evaluation with criteria and returns one row per criterion and
+joint. `judged_model` evaluates a fitted model on the hold-out set of a run or fleet and applies the
+criteria; criteria apply to honest models only. The verdict on a whole run is in
+`hil.evaluation.run_verdict`.
 """
 
 from __future__ import annotations
@@ -24,20 +24,22 @@ from hil.evaluation.holdout import Parts
 from hil.spec import Accept
 
 Metric = Literal["rmse_raw", "rmse_filtered", "nrmse", "mep"]
-"""What can be limited from above."""
+"""Error metric that a criterion can limit."""
 
 UNIT_OF_METRIC = {"nrmse": "1", "mep": "%"}
 
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
-    """A largest acceptable error.
+    """Acceptance criterion: upper limit of an error metric.
 
     Attributes:
-        metric: Which error.
-        max: Its limit; equal to the limit passes.
-        unit: `A` or `N·m` for RMSEs, which must be the unit of the data; empty for the others.
-        per: `joint`: every joint must meet it; `mean`: the mean over the joints must.
+        metric: Error metric.
+        max: Upper limit of the metric; a value equal to the limit passes.
+        unit: Unit of an RMSE limit, `A` or `N·m`, which must be the unit of the data; empty for
+            other metrics.
+        per: `joint` if the limit applies to every joint, `mean` if it applies to the mean over
+            joints.
     """
 
     metric: Metric
@@ -56,13 +58,13 @@ class Criterion:
 
 @dataclass(frozen=True, slots=True)
 class VerdictRow:
-    """One number against its limit.
+    """Result of one criterion for one joint or for the mean over joints.
 
     Attributes:
-        criterion: Which limit.
-        what: The joint's name, or `mean`.
-        value: The error found; NaN (nothing could be judged) fails.
-        passed: Whether it meets the limit.
+        criterion: Acceptance criterion with the limit.
+        what: Name of the joint, or `mean` for the mean over joints.
+        value: Value of the error metric; NaN fails, for example if no row could be evaluated.
+        passed: Whether the value is within the limit.
     """
 
     criterion: Criterion
@@ -71,7 +73,7 @@ class VerdictRow:
     passed: bool
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the row in a form that JSON can store."""
         return {
             "metric": self.criterion.metric,
             "per": self.criterion.per,
@@ -85,11 +87,11 @@ class VerdictRow:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether every criterion is met, and by how much.
+    """Result of all criteria for the evaluation of one model.
 
     Attributes:
-        passed: True when all rows pass; without criteria there is nothing to pass: see `judged`.
-        rows: One per criterion and joint (or mean).
+        passed: Whether all rows pass; also true if there are no criteria, see `judged`.
+        rows: One result per criterion and joint (or mean).
     """
 
     passed: bool
@@ -97,27 +99,27 @@ class Verdict:
 
     @property
     def judged(self) -> bool:
-        """False when there were no criteria."""
+        """Whether any criteria were applied."""
         return bool(self.rows)
 
     @property
     def word(self) -> str:
-        """`pass`, `fail` or `not judged`."""
+        """Verdict as a word: `pass`, `fail` or `not judged`."""
         if not self.judged:
             return "not judged"
         return "pass" if self.passed else "fail"
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the verdict in a form that JSON can store."""
         rows = [row.to_dict() for row in self.rows]
         return {"verdict": self.word, "passed": self.passed, "rows": rows}
 
 
 def judge(evaluation: Evaluation, criteria: Sequence[Criterion]) -> Verdict:
-    """Set an evaluation's total against criteria.
+    """Return the verdict on the total prediction errors of an evaluation.
 
     Raises:
-        SpecError: A criterion is in another unit than the data.
+        SpecError: The unit of a criterion differs from the unit of the data.
     """
     rows = tuple(row for criterion in criteria for row in _rows(evaluation, criterion))
     return Verdict(all(row.passed for row in rows), rows)
@@ -143,7 +145,7 @@ def _rows(evaluation: Evaluation, criterion: Criterion) -> list[VerdictRow]:
 
 
 def _criteria_of(accept: Accept) -> list[Criterion]:
-    """Return the model criteria of a spec; `gaps_percent` is judged on the recording."""
+    """Return the criteria on models in a spec; `gaps_percent` limits the recording instead."""
     out: list[Criterion] = []
     if (rmse := accept.rmse) is not None:
         metric: Metric = "rmse_raw" if rmse.signal == "raw" else "rmse_filtered"
@@ -155,18 +157,18 @@ def _criteria_of(accept: Accept) -> list[Criterion]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """One fitted and judged model.
+    """Fitted model together with its evaluation and verdict.
 
     Attributes:
-        estimator: Its name.
-        protocol: `honest`, or how the model departs from that; see `RobotEstimator.protocol`.
-        folder: `<estimator>-<digest>`.
-        held_out: Its errors on data it has not seen.
-        trained: Its errors on the data it was fitted to, for comparison only.
-        verdict: Whether the held-out errors meet the criteria; not judged unless honest.
-        document: The content of `evaluation.json`, but for the seconds the fit took.
-        test: The data it has not seen.
-        prediction: What it predicts for them.
+        estimator: Name of the estimator that was evaluated.
+        protocol: `honest`, or the deviation from an honest model; see `RobotEstimator.protocol`.
+        folder: Model folder `<estimator>-<digest>`.
+        held_out: Prediction errors on the hold-out set.
+        trained: Prediction errors on the training data, for comparison only.
+        verdict: Verdict on the held-out errors; `not judged` for models that are not honest.
+        document: Content of `evaluation.json`, without the duration of the fit.
+        test: Hold-out set of the evaluation.
+        prediction: Prediction of the model for the hold-out set.
     """
 
     estimator: str
@@ -180,7 +182,10 @@ class Judged:
     prediction: Prediction
 
     def predict(self, model: Model, data: Dataset) -> Prediction:
-        """Return the model's prediction for `data`, computed only where it is not known."""
+        """Return the prediction of the model for `data`, stored or newly computed.
+
+        The stored prediction is returned if `data` equals the hold-out set.
+        """
         same_series = [c.id for c in data.conditions] == [c.id for c in self.test.conditions]
         known = same_series and all(
             np.array_equal(data[name], self.test[name], equal_nan=True)
@@ -190,20 +195,23 @@ class Judged:
 
 
 def judged_model(estimator: str, fitted: Fitted, parts: Parts, accept: Accept) -> Judged:
-    """Judge a model on what was held out; criteria apply to honest ones alone.
+    """Return the evaluation and verdict of a model on the hold-out set.
+
+    Acceptance criteria apply to honest models only.
 
     Args:
-        estimator: Its name.
-        fitted: To `parts.train`.
-        parts: Of the run.
-        accept: Criteria of its spec; those of its recording and of loads are judged elsewhere.
+        estimator: Name of the estimator that was evaluated.
+        fitted: Model that was fitted to `parts.train`.
+        parts: Training and hold-out set of the run.
+        accept: Acceptance criteria of the spec. Criteria on the recording and on payloads are not
+            checked by `judged_model`.
     """
     prediction = fitted.model.predict(parts.test)
     held_out = evaluate(fitted.model, parts.test, fitted.train_std, prediction=prediction)
     trained = evaluate(fitted.model, parts.train, fitted.train_std)
     protocol = fitted.model.protocol
     verdict = judge(held_out, _criteria_of(accept) if protocol == HONEST else [])
-    # Errors where only the load or only the motion is new.
+    # Errors on series in which only the payload or only the motion is new.
     beside = [
         {"what": what, **evaluate(fitted.model, data, fitted.train_std).to_dict()}
         for what, data in parts.beside

@@ -1,4 +1,4 @@
-"""Dwell programs and Fourier excitation."""
+"""Generation of excitation motions: dwell programs and Fourier trajectories."""
 
 import lazy_loader
 

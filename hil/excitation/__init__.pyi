@@ -1,7 +1,9 @@
 from .cache import ExcitationCache as ExcitationCache
 from .cache import user_cache as user_cache
+from .dwell import DwellProgram as DwellProgram
 from .dwell import WaypointFile as WaypointFile
 from .dwell import read_waypoints as read_waypoints
+from .fourier import FourierExcitation as FourierExcitation
 from .motion import LONGEST_S as LONGEST_S
 from .motion import STANDSTILL_RAD as STANDSTILL_RAD
 from .motion import FourierSeries as FourierSeries

@@ -1,7 +1,9 @@
-"""Trajectories that took long to compute, kept under a hash of everything they depend on.
+"""Cache of computed trajectories under a hash of all inputs of the computation.
 
-One JSON file per question. A list of trajectories grows while they are computed, so whoever is
-interrupted goes on where it was, and asking for more of them computes only the new ones.
+Each request for trajectories has one JSON file in the cache. The JSON file of a request is
+rewritten after each computed trajectory. An interrupted computation therefore resumes with the
+first missing trajectory. A request for more trajectories than the file contains computes only the
+missing trajectories.
 """
 
 from __future__ import annotations
@@ -23,26 +25,26 @@ OFF = "off"
 
 
 class DamagedEntry(Exception):
-    """An entry that is there and cannot be used."""
+    """Cache entry that exists but cannot be read or is invalid."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExcitationCache:
-    """Where trajectories are kept.
+    """Folder of cached trajectories.
 
     Attributes:
-        folder: None keeps nothing.
-        fresh: What is there is not read, but replaced.
+        folder: Folder of the cache; None to disable the cache.
+        fresh: Flag; if true, existing entries are ignored and replaced.
     """
 
     folder: Path | None = None
     fresh: bool = False
 
     def read(self, key: str) -> tuple[FourierSeries, ...]:
-        """What is kept under `key`, nothing by default.
+        """Return the trajectories stored under `key`, or an empty tuple if there are none.
 
         Raises:
-            DamagedEntry: Something is, and it is damaged.
+            DamagedEntry: The cache entry exists, but its content is damaged.
         """
         file = self.file(key)
         if file is None or self.fresh or not file.is_file():
@@ -53,10 +55,10 @@ class ExcitationCache:
             raise DamagedEntry(f"{file} is damaged: {error}") from None
 
     def write(self, key: str, series: Sequence[FourierSeries]) -> None:
-        """Keep `series` under `key`, whole or not at all.
+        """Store `series` under `key` atomically.
 
         Raises:
-            RecordingError: The disk refuses.
+            RecordingError: The folder cannot be created or the file cannot be written.
         """
         if (file := self.file(key)) is None:
             return
@@ -66,30 +68,34 @@ class ExcitationCache:
             file.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RecordingError(
-                f"cannot make {file.parent}: {error.strerror or error}",
-                hint="name another folder: HIL_CACHE=DIR, or none: HIL_CACHE=off",
+                f"cannot create {file.parent}: {error.strerror or error}",
+                hint="set another folder (HIL_CACHE=DIR) or disable the cache (HIL_CACHE=off)",
             ) from error
         write_replacing(file, json_document(document | {"trajectories": motions}))
 
     def file(self, key: str) -> Path | None:
-        """The file of an entry, None where nothing is kept."""
+        """Return the path of the file of a cache entry, or None if the cache is disabled."""
         return None if self.folder is None else self.folder / f"{key[:32]}.json"
 
 
 def user_cache(*, fresh: bool = False) -> ExcitationCache:
-    """This user's: in `$HIL_CACHE` or where the system keeps caches; `HIL_CACHE=off` for none."""
+    """Return the cache of the current user.
+
+    The cache is in `$HIL_CACHE` or in the cache folder of the operating system. `HIL_CACHE=off`
+    disables the cache.
+    """
     named = os.environ.get("HIL_CACHE", "")
     if named == OFF:
         return ExcitationCache()
     try:
         folder = Path(named) if named else _platform_folder()
-    except RuntimeError:  # a user without a home
+    except RuntimeError:  # the user has no home folder
         return ExcitationCache()
     return ExcitationCache(folder / "excitation", fresh)
 
 
 def digest(value: Mapping[str, Any] | Sequence[Any]) -> str:
-    """sha256 of a JSON value, whatever the order of its keys."""
+    """Return the SHA-256 of a JSON value, independent of the order of its keys."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -97,12 +103,12 @@ def digest(value: Mapping[str, Any] | Sequence[Any]) -> str:
 def _series_of(document: Mapping[str, Any], key: str) -> tuple[FourierSeries, ...]:
     motions = document["trajectories"]
     if document["hil_excitation"] != FORMAT or document["key"] != key:
-        raise ValueError("it is of another version or of another question")
+        raise ValueError("it belongs to another version of hil or to another problem")
     if document["sha256"] != digest(motions):
-        raise ValueError("its content is not what was written")
+        raise ValueError("its content does not match its digest")
     series = tuple(map(motion_from_dict, motions))
     if not all(isinstance(motion, FourierSeries) for motion in series):
-        raise ValueError("it holds other motions than Fourier series")
+        raise ValueError("it contains a motion that is not a Fourier series")
     return series  # type: ignore[return-value]
 
 

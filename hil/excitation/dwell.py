@@ -1,7 +1,7 @@
-"""The dwell program: many well-spread poses, approached from both sides, measured at rest.
+"""Dwell program: static measurements at well-spread poses, approached from both directions.
 
-The poses are drawn by seed or read from a lab's own CSV file, of which every mistake is reported
-at once with its line.
+The poses of a dwell program are drawn with a seed or read from a CSV file. All mistakes in the CSV
+file are reported together, each with its line number.
 """
 
 from __future__ import annotations
@@ -23,20 +23,25 @@ from hil.excitation.workspace import Workspace, draw_poses, ways_out
 from hil.spec import Dwell
 
 SPARE_SHARE = 0.05
-"""Poses drawn beyond those asked for, to stand in for unreachable ones."""
+"""Ratio of the number of spare poses to the number of requested poses; a spare pose replaces an
+unreachable pose.
+"""
 
 MOST_TRIES, MOST_TRIES_PER_POSE = 4000, 20
-"""Clear poses that are looked at before a program is given up."""
+"""Numbers of clear poses to check before the search for a dwell program is given up: a fixed
+number, and a number per requested pose.
+"""
 
 
 class DwellProgram:
-    """Poses drawn by seed or read from a file; visited in random order, as `excitation` says.
+    """Dwell program with poses drawn by seed or read from a file, visited in random order.
 
-    The order is random so that drift during the run is not mistaken for a function of the pose.
+    The poses are visited in random order because a drift during the run could otherwise be mistaken
+    for a dependence on the pose.
 
     Args:
-        spec: The excitation part of an experiment.
-        folder: What `file` is relative to.
+        spec: Excitation section of an experiment.
+        folder: Folder to which the path `file` of the spec is relative.
     """
 
     def __init__(self, spec: Dwell, folder: Path = Path()) -> None:
@@ -44,11 +49,11 @@ class DwellProgram:
         self.folder = folder
 
     def program(self, roadmap: Roadmap) -> Program:
-        """All visits, clear in themselves.
+        """Return a program of visits whose motions are all clear of collisions.
 
         Raises:
-            SpecError: The waypoint file has mistakes; all of them are listed.
-            PlanError: There are too few clear poses.
+            SpecError: The waypoint file contains mistakes; the message lists them.
+            PlanError: Too few poses are clear of collisions.
         """
         if self.spec.file is not None:
             return Program(self._from_file(roadmap), shuffle_seed=self.spec.seed)
@@ -56,17 +61,20 @@ class DwellProgram:
         visits = self._drawn(roadmap, wanted + max(4, int(SPARE_SHARE * wanted)))
         return Program(visits[:wanted], visits[wanted:], shuffle_seed=self.spec.seed)
 
+    def poses(self, workspace: Workspace) -> Iterator[FloatArray]:
+        """Yield blocks (m, n) of clear candidate poses; a plug-in can override this method."""
+        return draw_poses(workspace, self.spec.seed, "dwell poses")
+
     def _drawn(self, roadmap: Roadmap, count: int) -> list[Visit]:
-        """`count` visits to drawn poses, the stretches to and from each pose clear as well.
+        """Return `count` visits to drawn poses whose approach motions are clear as well.
 
         Raises:
-            PlanError: Hardly any pose can be approached and reached.
+            PlanError: Too few of the drawn poses can be approached and reached.
         """
         workspace = roadmap.workspace
         kept: list[FloatArray] = []
         seen = 0
-        drawn = draw_poses(workspace, self.spec.seed, "dwell poses")
-        for q in _in_pieces(drawn, max(32, count // 2)):
+        for q in _in_pieces(self.poses(workspace), max(32, count // 2)):
             visits = self._visits(workspace, q[roadmap.seem_connected(q)])
             kept += [pose for pose, visit in visits if workspace.are_clear(visit.motions)]
             seen += len(q)
@@ -76,10 +84,16 @@ class DwellProgram:
                 raise self._unreachable(
                     roadmap, q, f"dwell poses: only {len(kept)} of {seen} clear poses"
                 )
+        else:
+            raise PlanError(
+                f"only {len(kept)} of the {seen} poses of {type(self).__name__} can be reached; "
+                f"{count} are needed, spare poses included",
+                hint="yield more poses, or lower excitation.waypoints",
+            )
         return [self._visit(workspace, q, f"pose {i}", i) for i, q in enumerate(kept[:count])]
 
     def _unreachable(self, roadmap: Roadmap, poses: FloatArray, few: str) -> PlanError:
-        """Return the error for too `few` poses, with what is in the way of one of `poses`."""
+        """Return the error for too few poses; it names an obstacle on the path to `poses`."""
         connected = roadmap.seem_connected(poses)
         ways: list[list[Motion]] = [
             self._visit(roadmap.workspace, q, "", -1).motions if near else [roadmap.straight_to(q)]
@@ -89,12 +103,12 @@ class DwellProgram:
         return PlanError(
             f"{few} can be reached and approached"
             + (f"; on the way to a rejected one: {why}" if why else ""),
-            hint=f"{roadmap.workspace.larger_space}ask for fewer waypoints, a smaller "
-            "approach_deg or a wider range_deg",
+            hint=f"{roadmap.workspace.larger_space}lower excitation.waypoints or approach_deg, "
+            "or widen range_deg",
         )
 
     def _visits(self, workspace: Workspace, poses: FloatArray) -> list[tuple[FloatArray, Visit]]:
-        """Each of `poses` (m, n) with its visit; their distances are computed in one go."""
+        """Return each of `poses` (m, n) with its visit; all distances are computed in one call."""
         visits = [self._visit(workspace, q, "", -1) for q in poses]
         workspace.keep_clear([motion for visit in visits for motion in visit.motions])
         return list(zip(poses, visits, strict=True))
@@ -120,55 +134,64 @@ class DwellProgram:
         outside = int(np.count_nonzero(~workspace.within_limits(file.q)))
         ways = ways_out(workspace.space, file.q, workspace.clearance_m)
         return file.suspected(outside) or (
-            ", or ".join(["mend or drop these poses", *ways]) + "; nothing was planned"
+            ", or ".join(["correct or remove these poses", *ways]) + "; nothing was planned"
         )
 
 
 def _in_pieces(blocks: Iterable[FloatArray], rows: int) -> Iterator[FloatArray]:
-    """The rows of `blocks` in order, at most `rows` at a time: a short program needs few."""
+    """Yield the rows of `blocks` in order, in pieces of at most `rows` rows.
+
+    Small pieces of `blocks` save computing time, because a short program needs few poses.
+    """
     for block in blocks:
         for begin in range(0, len(block), rows):
             yield block[begin : begin + rows]
 
 
 def _complaints(roadmap: Roadmap, q: FloatArray, visit: Visit) -> list[str]:
-    """What is wrong with a pose of a file, else with the way to it."""
+    """Return the problems of a pose from the file or, if there are none, of the path to it."""
     workspace = roadmap.workspace
     if complaint := workspace.complaint(q):
         return [f"{visit.label}: {complaint}"]
     for motion in visit.motions:
         if complaint := workspace.complaint(motion.q_start):
-            return [f"{visit.label}: where the pose is approached from, {complaint}"]
+            return [f"{visit.label}: at the start of its approach, {complaint}"]
     if not workspace.are_clear(visit.motions):
         return [f"{visit.label}: on its approach: {workspace.obstacle(visit.motions)}"]
     if roadmap.way(roadmap.home, visit.entry) is None:
         straight = workspace.obstacle([workspace.line(roadmap.home, visit.entry)])
-        return [f"{visit.label}: no clear path leads there; on the straight path: {straight}"]
+        return [
+            f"{visit.label}: no collision-free path leads there; on the straight path: {straight}"
+        ]
     return []
 
 
 AngleUnit: TypeAlias = Literal["deg", "rad"]
 
 MOST_PROBLEMS = 20
-"""A file with more mistakes than this has one mistake, made often."""
+"""Maximum number of problems in a message; a longer list is usually one mistake repeated."""
 
 RADIAN_SUSPICION = 0.5
-"""Share of poses beyond the limits from which degrees read as radians are suspected."""
+"""Share of poses beyond the joint limits above which a wrong unit is suspected (degrees read as
+radians).
+"""
 
 MOST_QUOTED = 40
-"""Characters of a line: enough to find it, and to give no foreign file away."""
+"""Maximum number of characters quoted from a line of the file: enough to find the line, but too few
+to disclose an unrelated file.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaypointFile:
-    """Poses as read.
+    """Poses of a waypoint file.
 
     Attributes:
-        path: The file.
-        q: (N, n) poses [rad], joints in the robot's order.
-        unit: Of the numbers in the file.
-        lines: Line number of each pose.
-        problems: What cannot be read, one message per mistake, each beginning `file:line:`.
+        path: Path of the file.
+        q: (N, n) poses [rad], with the joints in the order of the robot.
+        unit: Unit of the numbers in the file.
+        lines: Line number of each pose in the file.
+        problems: Error messages, one per mistake in the file; each begins with `file:line:`.
     """
 
     path: Path
@@ -178,33 +201,34 @@ class WaypointFile:
     problems: tuple[str, ...]
 
     def suspected(self, outside: int) -> str:
-        """Return what may be wrong with the unit if so many poses are beyond the limits."""
+        """Return a hint about a wrong unit if many poses (`outside`) are beyond the limits."""
         if self.unit == "deg" or outside < RADIAN_SUSPICION * max(1, len(self.q)):
             return ""
-        return "if these numbers are degrees, say excitation.file_unit: deg"
+        return "if these numbers are degrees, set excitation.file_unit: deg"
 
     def place(self, row: int) -> str:
-        """`file:line` of pose `row`."""
+        """Return the location `file:line` of the pose with index `row`."""
         return f"{self.path}:{self.lines[row]}"
 
 
 def read_waypoints(
     path: Path, joint_names: Sequence[str], unit: AngleUnit | None = None
 ) -> WaypointFile:
-    """Read poses: one per line, one column per joint, separated by commas.
+    """Read poses from a CSV file with one line per pose and one column per joint.
 
-    Blank lines and lines that begin with `#` are skipped. A first line may name the joints, in any
-    order (elbow-first orders are common), by their names or as `q1` to `qn`, and the unit by the
-    ending `_deg` or `_rad` of every name.
+    Blank lines and lines that begin with `#` are skipped. A header line is optional. The header
+    line contains the names of the joints, or `q1` to `qn`, in any order (elbow-first orders are
+    common). The ending `_deg` or `_rad`, common to all names of the header line, sets the unit.
 
     Args:
-        path: The file.
-        joint_names: Of the robot, in its order.
-        unit: As the spec states it; without, that of the first line, else degrees.
+        path: Path of the file.
+        joint_names: Names of the robot's joints, in the order of the robot.
+        unit: Unit stated in the spec; None to use the unit of the header line, or degrees if the
+            header line states no unit.
 
     Raises:
-        SpecError: The file cannot be opened or read as text, its first line names joints that the
-            robot does not have, or its unit is not the stated one.
+        SpecError: The file cannot be opened or read as text, its header line names joints that the
+            robot does not have, or the unit of the header line differs from `unit`.
     """
     rows = _rows(path)
     order, named = list(range(len(joint_names))), None
@@ -213,7 +237,7 @@ def read_waypoints(
     if unit and named and unit != named:
         raise SpecError(
             f"{path}: the first line says {named}, excitation.file_unit says {unit}",
-            hint="leave excitation.file_unit out, or correct one of the two",
+            hint="remove excitation.file_unit, or correct one of the two",
         )
     problems: list[str] = []
     q, lines = [], []
@@ -229,7 +253,7 @@ def read_waypoints(
     if not (unit or named) and 0.0 < np.max(np.abs(poses), initial=0.0) <= 2 * np.pi:
         problems.append(
             f"{path}: no angle is beyond 2π, so these may be radians: "
-            "write excitation.file_unit: rad, or deg if they are degrees"
+            "set excitation.file_unit: rad, or deg if they are degrees"
         )
     known: AngleUnit = unit or named or "deg"
     q_rad = np.radians(poses) if known == "deg" else poses
@@ -237,7 +261,7 @@ def read_waypoints(
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """Line number and stripped cells of every line that says something."""
+    """Return line number and stripped cells of every line except blank lines and comments."""
     try:
         text = path.read_text("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -258,7 +282,7 @@ def _cells(path: Path, number: int, line: str) -> list[str]:
         return [cell.strip() for cell in next(csv.reader([line]))]
     except csv.Error as error:
         raise SpecError(
-            f"{path}:{number}: {error}", hint="a line has a pose: numbers, separated by commas"
+            f"{path}:{number}: {error}", hint="write one pose per line: numbers separated by commas"
         ) from None
 
 
@@ -272,7 +296,7 @@ def _number(cell: str) -> float | None:
 def _header(
     path: Path, header: tuple[int, list[str]], joint_names: Sequence[str]
 ) -> tuple[list[int], AngleUnit | None]:
-    """Return the column of each joint by the names in the first line, and the unit they end in."""
+    """Return the column of each joint and the unit, both derived from the header line."""
     line, cells = header
     numbered = [f"q{number}" for number in range(1, len(joint_names) + 1)]
     units: tuple[AngleUnit | None, ...] = (None, "deg", "rad")
@@ -302,7 +326,7 @@ def _complaint(cells: Sequence[str], joint_names: Sequence[str]) -> str:
 
 
 def shortened(problems: Sequence[str]) -> str:
-    """The problems, one per line, the end of a very long list left out."""
+    """Return the problems as text, one per line; a very long list is cut off."""
     more = len(problems) - MOST_PROBLEMS
     shown = list(problems[:MOST_PROBLEMS]) + ([f"… and {more} more"] if more > 0 else [])
     return "\n".join(shown)

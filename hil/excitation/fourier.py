@@ -1,13 +1,14 @@
-"""Fourier excitation: several trajectories of eq. 29 of the PINN paper, drawn or optimised.
+"""Fourier excitation: several trajectories (eq. 29, PINN paper), drawn at random or optimised.
 
-Drawn: each joint's series is random, made to rest at both ends, scaled to whatever limit binds
-first, and shrunk towards its centre until the arm keeps its distance at every sample; the best
-conditioned of a few is kept.
+Drawn trajectories: the series of each joint is random, at rest at both ends, and scaled to the
+first limit that it reaches. A drawn motion is shrunk towards its centre until the arm keeps the
+required distance at every sample. The motion with the best condition number is selected from a few
+drawn motions.
 
-Optimised (`optimise` in the spec): one trajectory after the other, each to complement those before
-it. The information of the trajectories found so far is given to the next search, so condition
-number and determinant are those of all of them together. Any first few of them are as good as so
-many can be made in this way, which is why asking for more goes on from those in the cache.
+Optimised trajectories (`optimise` in the spec): the search for a trajectory includes the
+information of all earlier trajectories. Condition number and determinant are therefore those of all
+trajectories together. The first k optimised trajectories do not depend on the requested number. A
+request for more trajectories therefore continues from the cached ones.
 """
 
 from __future__ import annotations
@@ -32,32 +33,38 @@ from hil.excitation.workspace import Workspace
 from hil.spec import Fourier, Optimise
 
 CANDIDATES = 6
-"""Feasible draws among which the best conditioned one is kept."""
+"""Number of feasible draws, from which the draw with the best condition number is selected."""
 
 MOST_DRAWS = 200
 
 SMALLEST = 0.1
-"""Share of its limits that a motion is drawn with at least where the flange is confined."""
+"""Minimum share of the limits to which a drawn motion is scaled if the flange is confined."""
 
 DRAWS_AT_ONCE = 12
 
 SCORED = 100
-"""Samples the condition number is computed from; enough for ranking (facts measured on a UR5)."""
+"""Number of samples from which the condition number of a draw is computed; sufficient to rank draws
+(measured on a UR5).
+"""
 
 SHRINKAGE = np.array([1.0, 0.8, 0.64, 0.5, 0.4, 0.3])
-"""Tried from the largest: small motions excite little."""
+"""Factors by which a drawn motion is scaled; the largest is tried first, because small motions
+excite little.
+"""
 
 POINTS_PER_HARMONIC = 256
-"""Grid for peaks; a trigonometric polynomial of degree H on m·H points exceeds its largest value
-there by a factor of 1/cos(π/m) at most (Ehlich and Zeller 1964)."""
+"""Number of grid points per harmonic on which peak values are computed. A trigonometric polynomial
+of degree H, sampled at m·H points, exceeds its largest sample by a factor of at most 1/cos(π/m)
+(Ehlich and Zeller 1964).
+"""
 
 
 class FourierExcitation:
-    """Several Fourier trajectories, drawn by seed or optimised.
+    """Excitation with several Fourier trajectories, drawn with a seed or optimised.
 
     Args:
-        spec: The excitation part of an experiment.
-        folder: Not used; part of what every excitation is given.
+        spec: Excitation section of an experiment.
+        folder: Folder of the spec, which this excitation does not use.
     """
 
     def __init__(self, spec: Fourier, folder: Path = Path()) -> None:
@@ -66,14 +73,15 @@ class FourierExcitation:
         self._setting: Setting | None = None
 
     def compute_with(self, setting: Setting) -> None:
-        """The robot that trajectories are optimised for."""
+        """Store the robot model and payloads for which trajectories are optimised."""
         self._setting = setting
 
     def program(self, roadmap: Roadmap) -> Program:
-        """One visit per trajectory, in order.
+        """Return a program with one visit per trajectory, in order.
 
         Raises:
-            PlanError: Random series hardly ever keep their distance, or none can be optimised.
+            PlanError: Too few random series keep the required distance, or the optimisation found
+                no trajectory.
         """
         visits = []
         for number, series in enumerate(self._series(roadmap)):
@@ -87,7 +95,7 @@ class FourierExcitation:
             return [self._best(roadmap, np.random.default_rng(seed)) for seed in seeds]
         if self._setting is None:
             raise PlanError(
-                "trajectories cannot be optimised for a robot of which no model is given",
+                "trajectories cannot be optimised for a robot without a model",
                 hint="call compute_with before program, as hil.plan does",
             )
         f_hz = fitting_frequency(self.spec, roadmap.workspace.rate_hz)
@@ -99,10 +107,10 @@ class FourierExcitation:
         return min(candidates, key=lambda series: _score(roadmap.workspace, series))
 
     def _feasible(self, roadmap: Roadmap, rng: np.random.Generator) -> Iterator[FourierSeries]:
-        """Clear series that can be reached, as they are drawn.
+        """Yield the series that are clear and reachable, in the order of their draws.
 
         Raises:
-            PlanError: After `MOST_DRAWS` draws.
+            PlanError: All draws are used up without enough feasible series.
         """
         workspace = roadmap.workspace
         f_hz = fitting_frequency(self.spec, workspace.rate_hz)
@@ -118,7 +126,7 @@ class FourierExcitation:
         raise self._too_few(roadmap, drawn[-1])
 
     def _too_few(self, roadmap: Roadmap, last: tuple[Coefficients, FloatArray]) -> PlanError:
-        """Return the error for too few clear series, with what is in the way of the `last` draw."""
+        """Return the error for too few clear series; it names the obstacle of the `last` draw."""
         workspace = roadmap.workspace
         f_hz = fitting_frequency(self.spec, workspace.rate_hz)
         smallest = last[0].about(last[1], float(SHRINKAGE[-1]), self.spec, f_hz)
@@ -129,16 +137,17 @@ class FourierExcitation:
             f"{1e3 * workspace.clearance_m:.0f} mm from the table, the walls and the arm itself"
             + (" and inside the workspace" if workspace.space is not None else "")
             + (f"; last series tried: {why}" if why else ""),
-            hint=f"{workspace.larger_space}lower excitation.amplitude_deg or set "
-            "excitation.range_deg where there is room",
+            hint=f"{workspace.larger_space}lower excitation.amplitude_deg, or limit "
+            "excitation.range_deg to an unobstructed part of the workspace",
         )
 
     def _draw(
         self, roadmap: Roadmap, rng: np.random.Generator, f_hz: float, share: float | None
     ) -> tuple[Coefficients, FloatArray]:
-        """Random coefficients scaled to their limits, and a centre that keeps them in range.
+        """Return random coefficients scaled to their limits, and a centre within range.
 
-        With a `share`, only to so much of the limits, and about a pose of the roadmap.
+        If `share` is set, the drawn motion is scaled to this share of the limits and its centre is
+        a pose of the roadmap.
         """
         workspace = roadmap.workspace
         n, order = len(workspace.low), np.arange(1, self.spec.harmonics + 1)
@@ -157,7 +166,7 @@ class FourierExcitation:
     def _largest_scale(
         self, workspace: Workspace, a: FloatArray, b: FloatArray, f_hz: float
     ) -> FloatArray:
-        """(n, 1) factor at which each joint reaches the first of its limits."""
+        """Return for each joint, (n, 1), the scale factor at which it reaches its first limit."""
         q, qd, qdd = about_zero(a, b, f_hz)
         least, most = extent(a, b, f_hz)
         slack = np.cos(np.pi / POINTS_PER_HARMONIC)
@@ -179,10 +188,11 @@ def _score(workspace: Workspace, series: FourierSeries) -> float:
 
 
 def _shares(workspace: Workspace) -> Iterator[float | None]:
-    """Yield, for each lot of draws, the share of the limits they are scaled to; None for all.
+    """Yield the share of the limits to scale each block of draws to; None for the full limits.
 
-    Few poses of the joint ranges keep a confined flange inside its space, so draws about any of
-    them may all fail. Then smaller and smaller motions are drawn about poses known to be inside.
+    If the flange is confined, few poses within the joint ranges have the flange inside its space.
+    All motions drawn about random poses may then be rejected. For a confined flange, smaller and
+    smaller motions are drawn about poses whose flange is known to be inside its space.
     """
     lots = -(-MOST_DRAWS // DRAWS_AT_ONCE)
     yield from [None] * lots
@@ -200,13 +210,13 @@ COARSE = 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficients:
-    """Series about zero: `a` and `b`, each (n, H) in rad/s, at rest at both ends."""
+    """Coefficients `a`, `b`, (n, H) [rad/s], of series about zero with rest at both ends."""
 
     a: FloatArray
     b: FloatArray
 
     def about(self, q0: FloatArray, scale: float, spec: Fourier, f_hz: float) -> FourierSeries:
-        """The motion about `q0` (n,), everything multiplied by `scale`."""
+        """Return the motion about `q0` (n,) with all coefficients multiplied by `scale`."""
         a, b = (_rows(scale * self.a), _rows(scale * self.b))
         return FourierSeries(tuple(map(float, q0)), a, b, f_hz, spec.periods)
 
@@ -216,7 +226,7 @@ def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
 
 
 def fitting_frequency(spec: Fourier, rate_hz: float) -> float:
-    """The fundamental, lowered so that the trajectory ends on a sample [Hz]."""
+    """Return the fundamental frequency [Hz], lowered for the trajectory to end on a sample."""
     samples = int(np.ceil(spec.periods * rate_hz / spec.fundamental_hz - 1e-9))
     return spec.periods * rate_hz / samples
 
@@ -224,7 +234,7 @@ def fitting_frequency(spec: Fourier, rate_hz: float) -> float:
 def about_zero(
     a: FloatArray, b: FloatArray, f_hz: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """One period of q − q₀, qd and qdd, each (POINTS_PER_HARMONIC·H, n)."""
+    """Return one period of q − q₀, qd and qdd, each (POINTS_PER_HARMONIC·H, n)."""
     zero = tuple(0.0 for _ in a)
     samples = FourierSeries(zero, _rows(a), _rows(b), f_hz).sample(
         POINTS_PER_HARMONIC * a.shape[1] * f_hz
@@ -233,7 +243,7 @@ def about_zero(
 
 
 def extent(a: FloatArray, b: FloatArray, f_hz: float) -> tuple[FloatArray, FloatArray]:
-    """(n,) least and (n,) most that q − q₀ ever is."""
+    """Return bounds of q − q₀ over all times: the smallest (n,) and the largest (n,) value."""
     q, _, _ = about_zero(a, b, f_hz)
     beyond = np.abs(q).max(axis=0) * (1 / np.cos(np.pi / POINTS_PER_HARMONIC) - 1)
     return q.min(axis=0) - beyond, q.max(axis=0) + beyond
@@ -242,7 +252,7 @@ def extent(a: FloatArray, b: FloatArray, f_hz: float) -> tuple[FloatArray, Float
 def coarse_scales(
     workspace: Workspace, drawn: list[tuple[Coefficients, FloatArray]], f_hz: float
 ) -> Sequence[float]:
-    """For each draw the largest shrinkage that is clear on a coarse grid, 0 for none."""
+    """Return for each draw the largest scale factor that is clear on a coarse grid, or else 0."""
     shapes = np.stack(
         [
             about_zero(c.a, c.b, f_hz)[0][:: POINTS_PER_HARMONIC * c.a.shape[1] // COARSE]
@@ -258,29 +268,33 @@ def coarse_scales(
 
 
 ATTEMPTS = 3
-"""Searches for one trajectory: a motion may be clear in itself and still be out of reach."""
+"""Number of searches for one trajectory: a clear motion can still be out of reach."""
 
 SCALES = (1.0, 0.99, 0.95, 0.9, 0.8)
-"""Tried from the largest, should a motion not be clear at the robot's own samples."""
+"""Factors on an optimised motion, tried from the largest if the motion is not clear at the
+command rate."""
 
 TOLERANCE = 1e-9
-"""Like that of a plan's margins."""
+"""Rounding tolerance of limit checks, equal to the tolerance for the margins of a plan."""
 
 ANSWERS = 2
-"""Raised whenever the same question gets another answer than before."""
+"""Version number of the optimisation results, part of the cache key. The version number is raised
+if the same request leads to different trajectories than before. Cached trajectories of an earlier
+version are then not used.
+"""
 
 TOLERANCE_M = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What is asked of the trajectories of a spec in a workspace.
+    """Request for the optimised trajectories of a spec in a workspace.
 
     Attributes:
-        spec: Of the excitation; its `optimise` is given.
-        workspace: Where the arm may be.
-        setting: The robot.
-        f_hz: Fundamental that ends trajectories on a sample.
+        spec: Excitation section with `optimise` set.
+        workspace: Workspace of the arm.
+        setting: Robot model, payloads and trajectory cache.
+        f_hz: Fundamental frequency [Hz], chosen such that each trajectory ends exactly on a sample.
     """
 
     spec: Fourier
@@ -290,13 +304,13 @@ class Question:
 
     @property
     def asked(self) -> Optimise:
-        """How to optimise."""
+        """Optimisation settings of the spec."""
         assert self.spec.optimise is not None
         return self.spec.optimise
 
     @property
     def key(self) -> str:
-        """A hash of everything the trajectories depend on but how many they are."""
+        """Hash of all inputs of the trajectories, except their number."""
         return digest(self._facts())
 
     def _facts(self) -> dict[str, Any]:
@@ -322,15 +336,16 @@ class Question:
 
     @property
     def seed(self) -> int:
-        """Of the search."""
+        """Seed of the search for trajectories."""
         return self.spec.seed if self.asked.seed is None else self.asked.seed
 
     @property
     def clearance_m(self) -> float:
-        """Distance that is kept [m].
+        """Required distance to all bodies [m].
 
         Raises:
-            PlanError: It is less than the station's.
+            PlanError: The distance required by the spec is smaller than the distance required by
+                the station.
         """
         station = self.workspace.clearance_m
         if self.asked.clearance_mm is None:
@@ -338,13 +353,13 @@ class Question:
         if 1e-3 * self.asked.clearance_mm < station - TOLERANCE_M:
             raise PlanError(
                 f"excitation.optimise.clearance_mm: {self.asked.clearance_mm:g} mm is less than "
-                f"the {1e3 * station:g} mm that the station asks for",
-                hint="leave it out, or lower surroundings.clearance_m of the station's robot",
+                f"the {1e3 * station:g} mm that the station requires",
+                hint="remove it, or lower surroundings.clearance_m of the station's robot",
             )
         return 1e-3 * self.asked.clearance_mm
 
     def problem(self, found: Sequence[FourierSeries]) -> ExcitationProblem:
-        """What the trajectory after those `found` has to be."""
+        """Return the optimisation problem of the trajectory that follows those in `found`."""
         workspace, asked = self.workspace, self.asked
         jerk = asked.max_jerk_deg_s3
         problem = ExcitationProblem(
@@ -371,11 +386,11 @@ class Question:
 
 @dataclass(eq=False)
 class OptimisedSeries:
-    """The answers to a question.
+    """Optimised trajectories of a request, read from the cache or computed.
 
     Attributes:
-        question: What is asked.
-        roadmap: How to get about.
+        question: Request for trajectories.
+        roadmap: Clear paths between poses.
     """
 
     question: Question
@@ -384,10 +399,10 @@ class OptimisedSeries:
     _took_s: list[float] = field(default_factory=list)
 
     def all(self) -> list[FourierSeries]:
-        """As many as the spec asks for, from the cache as far as it has them.
+        """Return the requested number of trajectories: cached ones, then newly computed ones.
 
         Raises:
-            PlanError: No motion within all limits was found.
+            PlanError: The search found no motion within all limits.
         """
         wanted, key = self.question.spec.trajectories, self.question.key
         found = self._kept(key)
@@ -399,20 +414,20 @@ class OptimisedSeries:
         return found[:wanted]
 
     def _next(self, found: Sequence[FourierSeries]) -> FourierSeries:
-        """The next trajectory.
+        """Compute the next trajectory of the request.
 
         Raises:
-            PlanError: None is found.
+            PlanError: No trajectory was found for the request.
         """
         number, problem = len(found) + 1, self.question.problem(found)
         if self.roadmap.workspace.space is not None:
-            # Few poses of the joint ranges are inside the space; those of the roadmap are.
+            # Random poses are rarely inside the space, whereas all poses of the roadmap are.
             problem = replace(problem, centres=self.roadmap.poses)
         failure = PlanError(
-            f"trajectory {number}: {ATTEMPTS} optimised motions keep their limits, but the arm "
-            "cannot get to where they begin without coming too close to something",
-            hint="raise excitation.optimise.starts, or set excitation.range_deg where there is "
-            "room",
+            f"trajectory {number}: {ATTEMPTS} optimised motions keep their limits, but no path to "
+            "their start keeps the required clearance",
+            hint="raise excitation.optimise.starts, or limit excitation.range_deg to an "
+            "unobstructed part of the workspace",
         )
         for attempt in range(ATTEMPTS):
             try:
@@ -426,10 +441,10 @@ class OptimisedSeries:
         raise failure
 
     def _search(self, problem: ExcitationProblem, number: int, attempt: int) -> FourierSeries:
-        """The best motion of one search.
+        """Return the best motion of one search for a trajectory.
 
         Raises:
-            PlanError: It found none within all limits.
+            PlanError: The search found no motion within all limits.
         """
         seeds = np.random.SeedSequence([self.question.seed, number, attempt])
         return optimise(
@@ -441,7 +456,7 @@ class OptimisedSeries:
         ).series
 
     def _is_possible(self, series: FourierSeries) -> bool:
-        """Whether it keeps its limits at the robot's own samples, is clear and can be reached."""
+        """Return whether a series is within limits, clear of collisions and reachable."""
         workspace = self.roadmap.workspace
         return (
             _is_within(workspace, series)
@@ -451,7 +466,7 @@ class OptimisedSeries:
         )
 
     def _kept(self, key: str) -> list[FourierSeries]:
-        """What the cache has, as far as it is possible here."""
+        """Return the cached trajectories, or an empty list if one is not possible here."""
         try:
             kept = self.question.setting.cache.read(key)
         except DamagedEntry as damage:
@@ -478,9 +493,10 @@ class OptimisedSeries:
         self.question.setting.watch(Advance(number, total, start, progress.starts, best, left))
 
     def _left_s(self, others: int, eta_s: float | None) -> float | None:
-        """Time left for the trajectory at work and `others`; a search tells `eta_s` for its own.
+        """Return the estimated time for the current and `others` further trajectories [s].
 
-        A search cannot know how soon it converges: those before it are the better measure.
+        The search cannot predict its convergence. The mean duration of earlier searches is
+        therefore preferred to the estimate `eta_s` of the current search.
         """
         now = time.monotonic()
         if not self._took_s:
@@ -501,7 +517,7 @@ def _is_within(workspace: Workspace, series: FourierSeries) -> bool:
 
 
 def scaled(series: FourierSeries, scale: float) -> FourierSeries:
-    """The same motion about its centre, everything multiplied by `scale`."""
+    """Return the motion with all its coefficients multiplied by `scale`, about the same centre."""
     a, b = (
         tuple(tuple(scale * value for value in row) for row in rows)
         for rows in (series.a, series.b)

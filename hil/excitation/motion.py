@@ -1,8 +1,9 @@
-"""Motions of the joints: lines, Fourier series and stays at a pose, sampled by numpy.
+"""Joint motions: straight lines, Fourier series and dwells at a pose, sampled with numpy.
 
-A straight line in joint space needs one scalar profile only, the distance covered by the joint
-that has furthest to go. ruckig computes it as one degree of freedom from rest to rest, and never
-with intermediate positions: those would be sent to a server on the internet.
+A straight line in joint space needs only one scalar profile: the distance of the joint with the
+longest path. Ruckig computes the scalar profile of a line as one degree of freedom from rest to
+rest. Intermediate positions are never passed to Ruckig, because Ruckig would send them to a server
+on the internet.
 """
 
 from __future__ import annotations
@@ -16,12 +17,14 @@ import numpy as np
 from hil.core import FloatArray, PlanError
 
 STANDSTILL_RAD = 1e-9
-"""Shorter ways than this are none: ruckig fails on them, and no encoder sees them."""
+"""Distance below which a motion is treated as no motion: Ruckig fails on such a distance, and no
+encoder resolves it.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Set-points at a fixed rate: `t` (N,), `q`, `qd`, `qdd` (N, n) in rad, rad/s, rad/s²."""
+    """Set-points at a fixed rate: `t` (N,) [s]; `q`, `qd`, `qdd` (N, n) [rad, rad/s, rad/s²]."""
 
     t: FloatArray
     q: FloatArray
@@ -33,7 +36,7 @@ class Samples:
 
 
 class Motion(Protocol):
-    """A commanded motion from rest to rest."""
+    """Commanded motion from rest to rest."""
 
     @property
     def duration_s(self) -> float:
@@ -48,26 +51,27 @@ class Motion(Protocol):
         """Joint position of the last set-point, (n,)."""
 
     def sample(self, rate_hz: float) -> Samples:
-        """Set-points at t = 1/rate, 2/rate, … up to and including `duration_s`."""
+        """Return set-points at t = 1/rate, 2/rate, … up to and including `duration_s`."""
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form with a `kind` key; floats survive the round trip exactly."""
+        """Return the motion as a JSON object with a `kind` key; floats keep their exact values."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """Rest to rest on a straight line in joint space, as fast as the limits allow.
+    """Straight line in joint space from rest to rest, as short in time as the limits allow.
 
-    The joint with furthest to go binds; the others follow in proportion, so the line is exact.
-    The fastest profile of duration T is stretched uniformly to T', the next multiple of
-    1/`rate_hz`, as q(t·T/T'): set-points end exactly at the goal, and velocity, acceleration and
-    jerk only become smaller. (Ruckig's own discrete durations and `minimum_duration` silently
-    leave the line.)
+    The joint with the longest path determines the duration. The other joints move in proportion to
+    the joint with the longest path, so the line is exactly straight. The fastest profile has
+    duration T. The profile is stretched uniformly to T', the next multiple of 1/`rate_hz`, as
+    q(t·T/T'). The set-points of the stretched profile end exactly at the goal, and velocity,
+    acceleration and jerk only become smaller. (Ruckig's own discrete durations and
+    `minimum_duration` would leave the line without an error.)
 
     Attributes:
-        start, goal: Joint positions [rad], length n.
+        start, goal: Joint positions at the start and at the end of the line [rad], length n.
         velocity, acceleration, jerk: Limits for every joint [rad/s, rad/s², rad/s³].
-        rate_hz: Command rate whose period the duration is a multiple of.
+        rate_hz: Command rate [Hz]; the duration of the line is a multiple of the command period.
     """
 
     start: tuple[float, ...]
@@ -79,26 +83,26 @@ class Line:
 
     @cached_property
     def distance(self) -> float:
-        """Way of the joint that has furthest to go [rad]."""
+        """Distance of the joint with the longest path [rad]."""
         return max(abs(b - a) for a, b in zip(self.start, self.goal, strict=True))
 
     @property
     def duration_s(self) -> float:
-        """A multiple of the command period, at least one [s]."""
+        """Duration of the line [s], a multiple of the command period and at least one period."""
         return self._periods / self.rate_hz
 
     @property
     def q_start(self) -> FloatArray:
-        """(n,)."""
+        """Start position (n,) [rad]."""
         return np.array(self.start)
 
     @property
     def q_end(self) -> FloatArray:
-        """(n,)."""
+        """Goal position (n,) [rad]."""
         return np.array(self.goal)
 
     def sample(self, rate_hz: float) -> Samples:
-        """Set-points, the last one exactly at the goal and at rest."""
+        """Return the set-points of the line; the last one is exactly at the goal and at rest."""
         t = _grid(self.duration_s, rate_hz)
         way = self.q_end - self.q_start
         if self.distance < STANDSTILL_RAD:
@@ -115,7 +119,7 @@ class Line:
         return Samples(t, q, qd, qdd)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the line as a JSON object."""
         return {
             "kind": "line",
             "start_rad": list(self.start),
@@ -138,7 +142,7 @@ class Line:
 
 
 def _grid(duration_s: float, rate_hz: float) -> FloatArray:
-    """1/rate, 2/rate, …; the last point is `duration_s` itself, whatever the rounding."""
+    """Return times 1/rate, 2/rate, …; the last time is exactly `duration_s`."""
     n = max(1, int(np.ceil(duration_s * rate_hz - 1e-6)))
     t = np.arange(1, n + 1) / rate_hz
     t[-1] = duration_s
@@ -147,16 +151,17 @@ def _grid(duration_s: float, rate_hz: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class FourierSeries:
-    """Finite Fourier series per joint, eq. 29 of the PINN paper.
+    """Motion with one finite Fourier series per joint (eq. 29, PINN paper).
 
-    q(t) = q₀ + Σᵢ aᵢ/(i·ω)·sin(i·ω·t) − bᵢ/(i·ω)·cos(i·ω·t), i = 1…H. Note that q(0) is not q₀.
-    The motion is at rest at both ends when Σ aᵢ = 0 and Σ i·bᵢ = 0 for every joint.
+    q(t) = q₀ + Σᵢ aᵢ/(i·ω)·sin(i·ω·t) − bᵢ/(i·ω)·cos(i·ω·t), i = 1…H. The start position q(0) of a
+    Fourier series differs from its centre q₀. The Fourier motion is at rest at both ends if Σ aᵢ =
+    0 and Σ i·bᵢ = 0 for every joint.
 
     Attributes:
         q0: Centre of the motion [rad], length n.
-        a, b: n rows of H coefficients [rad/s].
-        fundamental_hz: ω/2π.
-        periods: Number of repetitions.
+        a, b: Arrays (n, H) of coefficients [rad/s], one row per joint.
+        fundamental_hz: Fundamental frequency ω/2π [Hz].
+        periods: Number of periods of the motion.
     """
 
     q0: tuple[float, ...]
@@ -167,23 +172,23 @@ class FourierSeries:
 
     @property
     def duration_s(self) -> float:
-        """All periods together [s]."""
+        """Duration of all periods together [s]."""
         return self.periods / self.fundamental_hz
 
     @property
     def q_start(self) -> FloatArray:
-        """(n,): q(0), where the cosines do not vanish."""
+        """Start position q(0) (n,) [rad], which differs from q₀ by the cosine terms."""
         omega_i = 2 * np.pi * self.fundamental_hz * np.arange(1, len(self.b[0]) + 1)
         cosines: FloatArray = (np.array(self.b) / omega_i).sum(axis=1)
         return np.array(self.q0) - cosines
 
     @property
     def q_end(self) -> FloatArray:
-        """(n,): the same as `q_start`, the series being periodic."""
+        """End position (n,) [rad], equal to `q_start` because the series is periodic."""
         return self.q_start
 
     def sample(self, rate_hz: float) -> Samples:
-        """Set-points; velocities and accelerations are the analytic derivatives."""
+        """Return the set-points of the series, with analytic velocities and accelerations."""
         t = _grid(self.duration_s, rate_hz)
         omega_i, sin, cos = _harmonics(self.fundamental_hz, len(self.a[0]), self.periods, rate_hz)
         a, b = np.array(self.a).T, np.array(self.b).T
@@ -191,7 +196,7 @@ class FourierSeries:
         return Samples(t, q, cos @ a + sin @ b, cos @ (b * omega_i) - sin @ (a * omega_i))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the series as a JSON object."""
         return {
             "kind": "fourier",
             "q0_rad": list(self.q0),
@@ -206,7 +211,7 @@ class FourierSeries:
 def _harmonics(
     fundamental_hz: float, harmonics: int, periods: int, rate_hz: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """i·ω as a column (H, 1), and sin and cos of i·ω·t (N, H): shared by all joints."""
+    """Return i·ω as a column (H, 1), and sin and cos of i·ω·t (N, H), shared by all joints."""
     omega_i = 2 * np.pi * fundamental_hz * np.arange(1.0, harmonics + 1)[:, None]
     phase: FloatArray = _grid(periods / fundamental_hz, rate_hz)[:, None] * omega_i.T
     return omega_i, np.sin(phase), np.cos(phase)
@@ -214,40 +219,40 @@ def _harmonics(
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """Standing still at `q` [rad]; how long is the dwell rule's business."""
+    """Constant set-point `q` [rad]; the dwell rule determines the time for which `q` is held."""
 
     q: tuple[float, ...]
 
     @property
     def duration_s(self) -> float:
-        """0: the one set-point is reached as soon as it is given."""
+        """Duration of the set-point [s]: zero, because the dwell rule determines its length."""
         return 0.0
 
     @property
     def q_start(self) -> FloatArray:
-        """(n,)."""
+        """Position (n,) [rad]."""
         return np.array(self.q)
 
     @property
     def q_end(self) -> FloatArray:
-        """(n,)."""
+        """Position (n,) [rad]."""
         return np.array(self.q)
 
     def sample(self, rate_hz: float) -> Samples:
-        """One set-point."""
+        """Return the single set-point of the motion."""
         q = np.array([self.q])
         return Samples(np.zeros(1), q, np.zeros_like(q), np.zeros_like(q))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the motion as a JSON object."""
         return {"kind": "hold", "q_rad": list(self.q)}
 
 
 def motion_from_dict(raw: dict[str, Any]) -> Motion:
-    """Inverse of `Motion.to_dict`.
+    """Return the motion described by a JSON object; the inverse of `Motion.to_dict`.
 
     Raises:
-        PlanError: `kind` names no motion of this version.
+        PlanError: This version of hil does not know a motion of that `kind`.
     """
     match raw:
         case {"kind": "line"}:
@@ -259,24 +264,25 @@ def motion_from_dict(raw: dict[str, Any]) -> Motion:
         case {"kind": "hold"}:
             return Hold(tuple(raw["q_rad"]))
     raise PlanError(
-        f"the plan holds a motion of kind {raw.get('kind')!r}, which this version does not know",
-        hint="make the plan again with this version of hil",
+        f"the plan contains a motion of kind {raw.get('kind')!r}, which this version of hil does "
+        "not support",
+        hint="create the plan again with this version of hil",
     )
 
 
 LONGEST_S = 7600.0
-"""Ruckig warrants its precision up to here."""
+"""Longest duration for which Ruckig guarantees its precision [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile:
-    """Seven phases of constant jerk.
+    """Motion profile of seven phases with constant jerk.
 
     Attributes:
-        t: (7,) times at which the phases begin [s].
-        duration_s: Time at which the last phase ends.
-        coefficients: (7, 4) position, velocity, half acceleration and a sixth of the jerk at the
-            beginning of each phase.
+        t: (7,) start times of the phases [s].
+        duration_s: End time of the last phase [s].
+        coefficients: (7, 4) position, velocity, half of the acceleration and a sixth of the jerk at
+            the start of each phase.
     """
 
     t: FloatArray
@@ -284,7 +290,7 @@ class Profile:
     coefficients: FloatArray
 
     def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Position, velocity and acceleration, each (N,), at `t` (N,) within [0, duration]."""
+        """Return position, velocity and acceleration, each (N,), at `t` (N,) in [0, duration]."""
         phase = np.searchsorted(self.t, t, side="right") - 1
         dt = t - self.t[phase]
         p, v, a, j = self.coefficients[phase].T
@@ -297,10 +303,13 @@ class Profile:
 
 @lru_cache(maxsize=8192)
 def rest_to_rest(distance: float, velocity: float, acceleration: float, jerk: float) -> Profile:
-    """The fastest profile from 0 to `distance` > 0 within the three limits (any one unit).
+    """Return the fastest profile from 0 to `distance` > 0 within the three limits of motion.
+
+    The distance may have any unit; the limits must use this unit and seconds.
 
     Raises:
-        PlanError: Ruckig finds no profile, for example because a limit is extreme.
+        PlanError: Ruckig finds no profile, for example because of an extreme limit, or the motion
+            would take longer than `LONGEST_S`.
     """
     import ruckig
 

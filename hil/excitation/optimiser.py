@@ -1,15 +1,17 @@
-"""Optimise a Fourier trajectory: random starts, each improved by sequential quadratic programming.
+"""Optimise a Fourier trajectory from random starts by sequential quadratic programming.
 
-Nocedal and Wright 2006, ch. 18. Linear limits are kept by every iterate; the others are elastic
-rows with one common excess that is penalised, and a line search looks at the objective plus that
-penalty. The objective grows sharper from stage to stage (`hil.dynamics.log_condition`).
+The optimisation method follows Nocedal and Wright 2006, ch. 18. Every iterate of the optimisation
+satisfies the linear limits. The nonlinear limits are elastic rows with one common excess, which is
+penalised. The line search minimises the objective plus that penalty. The objective becomes sharper
+from stage to stage (`hil.dynamics.log_condition`).
 
-The quadratic program of a step holds few of the many rows of limits: those nearly reached, peaks
-in time only, and those that held the last step back. Rows that a step would overstep join it, and
-it is solved again (by Clarabel's interior-point method).
+The quadratic program of a step contains only few of the many rows of limits: the peaks in time of
+rows that are nearly reached, and rows that limited the last step. If a step would exceed rows
+outside the quadratic program, these rows are added and the program is solved again (by Clarabel's
+interior-point method).
 
-What exceeds a limit between the points of the grid is found on a denser one: it is taken off that
-limit, and the search goes on.
+A denser grid detects exceeded limits between the points of the optimisation grid. Each limit
+exceeded on the denser grid is tightened by its excess, and the search continues.
 """
 
 from __future__ import annotations
@@ -39,19 +41,23 @@ from hil.excitation.problem import (
 )
 
 ROUNDS = 5
-"""More of the last stage, while what it finds exceeds limits between the points."""
+"""Maximum number of repetitions of the last stage while its result exceeds limits between the grid
+points.
+"""
 
 ITERATIONS = 200
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far an optimisation is.
+    """Progress of an optimisation, passed to the progress callback.
 
     Attributes:
-        start, starts: Number of the start at work, from 0, and of all starts.
-        best: At the best feasible point of all starts so far; infinite while there is none.
-        eta_s: Time that is probably left, None where nothing can be said yet.
+        start, starts: Number of the current start, from 0, and number of all starts.
+        best: Objective at the best feasible point of all starts so far; infinite if there is no
+            feasible point yet.
+        eta_s: Estimated remaining time of the optimisation [s], None if no estimate is possible
+            yet.
     """
 
     start: int
@@ -65,16 +71,17 @@ ProgressCallback = Callable[[Progress], None]
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """How one of several starts went.
+    """Result of one random start of an optimisation.
 
     Attributes:
-        seed: `[seed, number]` of its random draw.
-        drawn: Objective of the draw: condition number, or −log det.
-        value: Of its result; infinite where no motion within all limits was found.
-        iterations: Solved quadratic programs.
-        evaluations: Of the objective with its gradient.
+        seed: Pair `[seed, number]` from which the start motion was drawn.
+        drawn: Objective of the drawn start motion: condition number, or −log det.
+        value: Objective of the optimised motion; infinite if no motion within all limits was found.
+        iterations: Number of accepted steps.
+        evaluations: Number of evaluations of the objective with its gradient.
         cpu_s: CPU time.
-        ended: Why it ended: `converged`, `iterations`, `budget` or `infeasible`.
+        ended: Reason for the end of the search: `converged`, `iterations`, `budget` or
+            `infeasible`.
     """
 
     seed: tuple[int, int]
@@ -88,17 +95,19 @@ class Start:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Optimised:
-    """The best series of all starts.
+    """Best series of all starts of an optimisation.
 
     Attributes:
-        series: The motion.
-        objective: Its value: a condition number, or the log determinant.
-        condition_raw, condition_scaled: Of the base regressor together with earlier trajectories.
-        margins: What it leaves of every limit.
-        information: (b, b) triangle that stands for this and all earlier trajectories in the
-            `earlier` of a further problem.
-        starts: How each start went.
-        cpu_s: CPU time of everything.
+        series: Optimised motion.
+        objective: Value of the objective for the best series: a condition number, or the log
+            determinant.
+        condition_raw, condition_scaled: Condition numbers of the base regressor of this and all
+            earlier trajectories.
+        margins: Margins of the series to every limit.
+        information: (b, b) triangle with the information of this and all earlier trajectories, to
+            be passed as `earlier` to the next problem.
+        starts: Results of all random starts.
+        cpu_s: CPU time of all starts together [s].
     """
 
     series: FourierSeries
@@ -111,7 +120,7 @@ class Optimised:
     cpu_s: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form, without `information`."""
+        """Return the optimisation result as a JSON object, without `information`."""
         return {
             "series": self.series.to_dict(),
             "objective": self.objective,
@@ -132,26 +141,28 @@ def optimise(
     cpu_s: float = 60.0,
     iterations: int = ITERATIONS,
 ) -> Optimised:
-    """The best of several local optima.
+    """Return the best of several local optima of an excitation problem.
 
     Args:
-        problem: What is asked for.
+        problem: Excitation problem to solve.
         starts: Number of random starts.
-        seed: Of the starts; the same seed gives the same series.
-        progress: Told now and then how far it is; may raise to stop the search.
-        cpu_s: CPU time for all starts. When it is spent the search ends with what it has, which
-            then depends on the computer.
-        iterations: Of one start at most.
+        seed: Seed of the random starts; the same seed gives the same series.
+        progress: Callback that receives the progress after every step; an exception raised by the
+            callback stops the search.
+        cpu_s: CPU time limit for all starts together [s]. After the CPU time limit, the search ends
+            with the best series so far. The series of a search ended by the CPU time limit depends
+            on the computer.
+        iterations: Maximum number of iterations of one start.
 
     Raises:
-        PlanError: No start found a motion within all limits; says which limit is in the way.
+        PlanError: No start found a motion within all limits; the message names the exceeded limit.
     """
     from threadpoolctl import threadpool_limits
 
     begun = time.process_time()
     tale = _Tale(starts, iterations, progress)
     done: list[tuple[Start, FloatArray]] = []
-    with threadpool_limits(1):  # matrices are small: threads would only wait for each other
+    with threadpool_limits(1):  # threads do not pay off for small matrices
         for number in range(max(1, starts)):
             if number and time.process_time() > begun + cpu_s:
                 break
@@ -167,13 +178,13 @@ def optimise(
         f"no Fourier series was found within all limits, from {len(done)} random starts"
         + (f" in {cpu_s:g} s of CPU time: " if spent else ": ")
         + (MotionLimits(problem).complaint(free) or "limits are exceeded between the points"),
-        hint=("give it more time, or " if spent else "give it ")
-        + "more room: wider limits, less clearance, more starts or another seed",
+        hint=("allow more time, " if spent else "")
+        + "widen the limits, lower the clearance, or use more starts or another seed",
     )
 
 
 class _Tale:
-    """What the progress callback is told."""
+    """Progress of all starts, reported to the progress callback."""
 
     def __init__(self, starts: int, iterations: int, progress: ProgressCallback | None) -> None:
         self._starts, self._iterations, self._progress = starts, iterations, progress
@@ -202,7 +213,7 @@ class _Tale:
 
 
 class _Attempt:
-    """One start, from its draw to a motion within all limits."""
+    """Search from one random start, from its draw to a motion within all limits."""
 
     def __init__(
         self,
@@ -222,7 +233,10 @@ class _Attempt:
         self._search = Search(linear, self._others, self._value_of, free, tale.step, deadline)
 
     def run(self) -> tuple[Start, FloatArray]:
-        """How it went, and the best motion: where none is within limits, the last one."""
+        """Run all stages of the search; return the result of the start and its best motion.
+
+        If no motion of the search is within all limits, the last motion is returned.
+        """
         begun = time.process_time()
         search, stages = self._search, self._value_of.stages
         drawn = self._value_of(search.free, stages[-1]).exact
@@ -247,9 +261,10 @@ class _Attempt:
         return start, search.free if self._found is None else self._found
 
     def _check(self) -> None:
-        """Keep the best motion if it is within all limits between the points, too.
+        """Store the best motion if it satisfies all limits between the grid points, too.
 
-        If not, take off the limits what it exceeds them by, and let the search go on from there.
+        If the best motion exceeds limits between the grid points, tighten these limits by their
+        excess, so that the search can continue.
         """
         search, others = self._search, self._others
         if search.best is None or search.best_value >= self._value:
@@ -285,7 +300,9 @@ def _result(
 DRAWS = 40
 
 SHRINKAGE = (1.0, 0.7, 0.5, 0.3, 0.15)
-"""Tried from the largest; a small motion has room to grow while it is improved."""
+"""Factors by which a drawn start motion is scaled; the largest is tried first, and the optimisation
+can enlarge a small motion.
+"""
 
 
 def draw(
@@ -294,10 +311,16 @@ def draw(
     rng: np.random.Generator,
     centres: FloatArray | None = None,
 ) -> FloatArray:
-    """(n, f) free coefficients of a motion.
+    """Return free coefficients (n, f) of a random motion within the linear limits.
 
-    Where limits besides the linear ones are given: the first draw that keeps them, or that of
-    `DRAWS` that exceeds them least. With `centres` (m, n) every draw is about one of them.
+    The first of at most `DRAWS` draws that satisfies the nonlinear limits is returned. If no draw
+    satisfies the nonlinear limits, the draw with the smallest excess is returned.
+
+    Args:
+        linear: Linear limits of the problem.
+        others: Nonlinear limits of the problem.
+        rng: Random generator.
+        centres: (m, n) poses from which the centre of every draw is taken; None for random centres.
     """
     best, least = np.empty(0), np.inf
     for _ in range(DRAWS):
@@ -316,7 +339,7 @@ def draw(
 
 
 def within_linear_limits(linear: LinearLimits, rng: np.random.Generator) -> FloatArray:
-    """(n, f): a random series per joint, 70 to 100 % of the largest its limits allow."""
+    """Return free coefficients (n, f) of a random series of 70 to 100 % of its largest size."""
     free = rng.standard_normal(linear.free_shape)
     free *= (linear.largest_scale(free) * rng.uniform(0.7, 1.0, len(free)))[:, None]
     free[:, 0] = rng.uniform(*linear.centres(free))
@@ -329,43 +352,56 @@ FLAT = -1e-9
 SMALL = 2e-4
 
 PATIENCE = 3
-"""A stage ends after so many steps in a row that each better the logarithm by less than `SMALL`."""
+"""Number of consecutive steps after which a stage ends, if each of them improves the logarithm of
+the objective by less than `SMALL`.
+"""
 
 MOST_EXCESS = 0.1
-"""No step leads to more than this, or to more than there was: bodies deep in each other have no
-slope that leads out again."""
+"""Maximum excess that a step may lead to, unless the excess was larger before the step. The excess
+is restricted because the gradient of deeply overlapping bodies does not lead out of the overlap.
+"""
 
 FIRST_PENALTY = 10.0
-"""Of an excess of 1; raised where it is too little to bring the excess to nothing."""
+"""Initial penalty for an excess of 1 over the nonlinear limits. The initial penalty is raised if it
+is too small to reduce the excess to zero.
+"""
 
 NEAR_EXCESS = -1.0
-"""Excess above which a peak in time of the other limits joins the program from the first."""
+"""Excess above which the peaks in time of the nonlinear limits are part of the first quadratic
+program.
+"""
 
 TOUCHING = -0.25
-"""Excess above which every row of the other limits does, peak or not."""
+"""Excess above which every row of the nonlinear limits is part of the first quadratic program."""
 
 MOST_ELASTIC = 200
-"""Rows of the other limits in one program: the worst ones."""
+"""Maximum number of rows of the nonlinear limits in one quadratic program; the rows with the
+largest excess are used.
+"""
 
 ALLOWED = 1e-6
-"""Excess that counts as none; what is beyond is caught on the denser grid."""
+"""Excess that is treated as zero; the check on the denser grid detects a larger excess."""
 
 ACTIVE = 1e-7
-"""Multipliers below it are none."""
+"""Lagrange multiplier below which a row of the quadratic program is treated as inactive."""
 
 NEAR = 0.1
-"""Share of a limit below which a row is handed to the solver from the first."""
+"""Slack below which a row of the linear limits is part of the first quadratic program, as a
+share of the limit."""
 
 SOLVED = 10
-"""Programs for one step at most."""
+"""Maximum number of quadratic programs that are solved for one step."""
 
 
 class StepProgram:
-    """What is kept from one step to the next: curvature, rows that held it back, penalty.
+    """Quadratic program of a step, with the state that is retained from step to step.
+
+    The retained state consists of the Hessian, the active rows of the linear limits and the
+    penalty.
 
     Args:
-        linear: Limits that every step keeps.
-        others: Limits that steps approach.
+        linear: Linear limits, which are satisfied after every step.
+        others: Nonlinear limits, which may be exceeded until the search converges.
     """
 
     def __init__(self, linear: LinearLimits, others: MotionLimits) -> None:
@@ -376,7 +412,7 @@ class StepProgram:
         self.penalty = FIRST_PENALTY
 
     def propose(self, point: Point) -> Proposal | None:
-        """The next step, or None where the solver fails."""
+        """Return the proposed next step, or None if the solver fails."""
         near = np.flatnonzero(point.excess > TOUCHING)
         numbers = np.union1d(near, peaks(-point.excess, -NEAR_EXCESS))
         worst = np.argsort(-point.excess.ravel()[numbers], kind="stable")[:MOST_ELASTIC]
@@ -394,7 +430,7 @@ class StepProgram:
         return Proposal(move, slope, step, numbers, rows)
 
     def learn(self, taken: Proposal, point: Point, following: Point) -> None:
-        """Curvature of the objective and of the elastic rows along the way taken."""
+        """Update the Hessian of the objective and of the elastic rows along the accepted step."""
         multipliers = taken.step.elastic
         active = multipliers > ACTIVE
         way = (following.free - point.free).ravel() / self._scale
@@ -428,18 +464,18 @@ class StepProgram:
 
 @dataclass
 class Search:
-    """One start.
+    """Search for a local optimum from one random start.
 
     Attributes:
-        linear, others: The limits.
-        value_of: The objective.
-        free: (n, f) where it is, within the linear limits.
-        told: Called after every step.
-        deadline: CPU time at which to end [s].
-        best: Best point within all limits so far, None before the first one.
-        best_value: The objective there; infinite before.
-        iterations: Steps so far.
-        ended: Why the last stage ended.
+        linear, others: Linear and nonlinear limits of the problem.
+        value_of: Objective function of the problem.
+        free: (n, f) current free coefficients, within the linear limits.
+        told: Callback that is called after every step of the search.
+        deadline: CPU time at which the search ends [s].
+        best: Best point within all limits so far, None if there is no such point yet.
+        best_value: Objective at the best point; infinite if there is no such point yet.
+        iterations: Number of steps of the search so far.
+        ended: Reason for the end of the last stage.
     """
 
     linear: LinearLimits
@@ -458,13 +494,13 @@ class Search:
         self._program = StepProgram(self.linear, self.others)
 
     def forget(self) -> None:
-        """The limits have changed: what was best may not be allowed any more."""
+        """Discard the best point after a change of the limits; it may exceed them now."""
         if self.best is not None:
             self.free = self.best
         self.best, self.best_value = None, np.inf
 
     def run(self, sharpness: float, iterations: int) -> None:
-        """One stage."""
+        """Run one stage of the search with at most `iterations` steps."""
         point: Point | None = self._at(self.free, sharpness)
         slow = 0
         self.ended = "iterations"
@@ -483,14 +519,14 @@ class Search:
                 return
 
     def _at(self, free: FloatArray, sharpness: float) -> Point:
-        """Also notes the point where it is the best one so far."""
+        """Return the point at `free`, and store this point if it is the best so far."""
         point = Point(free, self.value_of(free, sharpness), self.others.excess(free))
         if point.violation <= TOLERATED and point.value.exact < self.best_value:
             self.best, self.best_value = free, point.value.exact
         return point
 
     def _next(self, point: Point, sharpness: float) -> Point | None:
-        """The next point, or None where no step betters the merit."""
+        """Return the next point, or None if no step improves the merit function."""
         proposal = self._program.propose(point)
         if proposal is None:
             return None
@@ -504,7 +540,10 @@ class Search:
         return following
 
     def _search_along(self, proposal: Proposal, point: Point, sharpness: float) -> Point | None:
-        """As far along the step as the merit becomes better and no linear limit is overstepped."""
+        """Return a point along the step that improves the merit function within the linear limits.
+
+        Return None if no point along the step improves the merit function.
+        """
         if proposal.slope > FLAT:
             return None
         share = self._allowed_share(point.free, proposal.move)
@@ -515,7 +554,7 @@ class Search:
             worse = trial.violation > max(MOST_EXCESS, point.violation)
             if change <= ARMIJO * share * slope and not worse:
                 return trial
-            # The least point of the parabola through both values and the slope.
+            # Minimum of the parabola through both values and the slope.
             lowest = -0.5 * slope * share / (change - slope * share)
             share *= 0.5 if worse else float(np.clip(lowest, 0.1, 0.5))
         return None
@@ -528,7 +567,13 @@ class Search:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Point:
-    """Where a search is: coefficients (n, f), the objective there, the excess (R, N) of limits."""
+    """Point of a search.
+
+    Attributes:
+        free: (n, f) coefficients.
+        value: Value of the objective at the point.
+        excess: (R, N) excess of the nonlinear limits at the point.
+    """
 
     free: FloatArray
     value: Value
@@ -536,22 +581,22 @@ class Point:
 
     @property
     def violation(self) -> float:
-        """Largest excess, 0 for none."""
+        """Largest excess over the nonlinear limits; 0 if no limit is exceeded."""
         return float(self.excess.max(initial=0.0))
 
     def merit(self, penalty: float) -> float:
-        """Objective plus penalty."""
+        """Return the objective plus the penalty times the largest excess."""
         return self.value.value + penalty * self.violation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """A solution.
+    """Solution of the quadratic program of one step.
 
     Attributes:
-        move: (v,).
-        excess: What no step can mend of the elastic rows, at least 0.
-        hard, elastic: Multipliers of the rows.
+        move: (v,) solution vector of the scaled variables.
+        excess: Common excess of the elastic rows that remains after the step, at least 0.
+        hard, elastic: Lagrange multipliers of the hard and the elastic rows.
     """
 
     move: FloatArray
@@ -562,14 +607,14 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
-    """A step from a point.
+    """Step from a point that the quadratic program proposes.
 
     Attributes:
-        move: (n, f).
-        slope: Of the merit along it at its beginning.
-        step: The program's solution.
-        numbers: Rows of the other limits it looked at.
-        rows: Their derivatives, scaled as the solver's variables.
+        move: (n, f) change of the free coefficients.
+        slope: Slope of the merit function along the step, at its beginning.
+        step: Solution of the quadratic program of the step.
+        numbers: Row numbers of the nonlinear limits in the quadratic program.
+        rows: Derivatives of the rows `numbers`, scaled like the variables of the solver.
     """
 
     move: FloatArray
@@ -592,14 +637,14 @@ def solve_step(
     """Minimise gᵀd + dᵀHd/2 + penalty·t with A d ≤ b, C d ≤ c + t and t ≥ 0.
 
     Args:
-        hessian: (v, v), positive definite.
-        gradient: (v,).
-        hard: A and b.
-        elastic: C and c.
-        penalty: Of t.
+        hessian: (v, v) matrix H, positive definite.
+        gradient: (v,) vector g.
+        hard: Matrix A and vector b.
+        elastic: Matrix C and vector c.
+        penalty: Penalty factor of the common excess t.
 
     Returns:
-        None where the solver does not succeed.
+        Solution of the quadratic program, or None if the solver fails.
     """
     import clarabel
     import scipy.sparse
@@ -630,9 +675,14 @@ def solve_step(
 
 
 def damped_update(hessian: FloatArray, way: FloatArray, turned: FloatArray) -> FloatArray:
-    """BFGS from a way (v,) and the change of the gradient along it; stays positive definite.
+    """Return the BFGS update of a Hessian; the updated Hessian stays positive definite.
 
-    Damped as by Powell 1978 where the curvature along the way is not positive.
+    The BFGS update is damped after Powell 1978 if the curvature along the step is not positive.
+
+    Args:
+        hessian: (v, v) current approximation.
+        way: (v,) step.
+        turned: (v,) change of the gradient along the step.
     """
     along = hessian @ way
     old, new = float(way @ along), float(way @ turned)

@@ -1,17 +1,19 @@
-"""What is asked of an optimised Fourier trajectory: its series, its objective and its limits.
+"""Optimisation problem of a Fourier excitation trajectory: series, objective and limits.
 
-A motion is an array of free coefficients (n, f): the null space of the conditions for rest at both
-ends (`SeriesBasis`) leaves f = 2H − 1 of them per joint. Everything an optimiser needs is given as
-a function of them with its exact derivative:
+The free coefficients of a motion form an array (n, f). The conditions for rest at both ends have a
+null space (`SeriesBasis`), which leaves f = 2H − 1 free coefficients per joint. The objective and
+all limits are functions of the free coefficients, with exact derivatives:
 
-- `ValueOf`: condition number or determinant of the base regressor, earlier trajectories included;
-- `LinearLimits`: position, speed, acceleration and jerk, kept at all times and not just at the
-  points of a grid: a trigonometric polynomial of degree H on m·H points exceeds its largest
-  absolute value there by a factor of 1/cos(π/m) at most (Ehlich and Zeller 1964), and so much is
-  taken off every limit;
-- `MotionLimits`: torques of the nominal model, and distances to everything.
+- `ValueOf` is the objective: condition number or determinant of the base regressor, which includes
+  the rows of earlier trajectories;
+- `LinearLimits` limits position, speed, acceleration and jerk at all times, not only at the points
+  of a grid. A trigonometric polynomial of degree H, sampled at m·H points, exceeds its largest
+  absolute sample by a factor of at most 1/cos(π/m) (Ehlich and Zeller 1964). Every linear limit is
+  reduced by the factor 1/cos(π/m), so that it holds between the points of the grid;
+- `MotionLimits` limits the torques of the nominal model, the distances between bodies, and the
+  distances of the flange to the faces of its space.
 
-`margins_of` says what a finished series leaves of each limit, on a grid ten times denser.
+`margins_of` computes the margins of a finished series to each limit, on a grid ten times denser.
 """
 
 from __future__ import annotations
@@ -35,45 +37,55 @@ if TYPE_CHECKING:
 Objective = Literal["condition", "log_det"]
 
 SAMPLES_PER_HARMONIC = 20
-"""Of the grid the objective is computed on: five harmonics give the 100 samples that rank series
-as well as 1000 do."""
+"""Number of samples per harmonic on the grid of the objective: 100 samples for five harmonics rank
+series as well as 1000 samples do.
+"""
 
 LEAST_HARMONICS = 2
-"""One alone cannot rest at both ends."""
+"""Minimum number of harmonics: a series with one harmonic cannot be at rest at both ends."""
 
 
 @dataclass(frozen=True, eq=False)
 class ExcitationProblem:
-    """One Fourier series to be found.
+    """Optimisation problem of one Fourier series.
 
-    Limits are one number for all joints or one per joint; position limits may be infinite.
+    Each limit is one number for all joints or an array with one number per joint. Position limits
+    may be infinite.
 
     Attributes:
-        robot: The arm; with `effort_max` its inertial parameters count as the nominal ones.
-        q_min, q_max: Box the joint positions stay in [rad].
-        qd_max, qdd_max: Largest speed and acceleration [rad/s, rad/s²].
-        jerk_max: Largest jerk [rad/s³], None for no limit.
-        effort_max: Largest torque of the nominal model [N·m], None for no limit.
-        harmonics: Number of harmonics H.
-        fundamental_hz: ω/2π.
-        periods: Repetitions of the finished series; one period is optimised.
-        objective: `condition` number to be small, or `log_det` of the information to be large.
-        scaled: Condition of the regressor with its columns scaled to length 1. Makes no difference
-            to `log_det`.
-        rotor: Whether rotor inertias are among the parameters.
-        friction: Whether Coulomb, viscous and offset torques of every joint are.
-        sign_width: Of tanh(qd / width), which stands for the sign in Coulomb columns [rad/s].
-        earlier: (k, b) rows that carry the information of earlier trajectories: their regressor or
-            a triangle of it, columns as in `columns`. None for none. See `after`.
-        collision: Distances of the arm with its load, None for no check.
-        space: Distances of the flange to the faces it stays inside, None if it may go anywhere.
-        clearance_m: Distance that is kept to everything, those faces included.
-        centres: (m, n) poses that a search may begin about; None for any in the position box.
-        base: Base parameters to be used instead of `hil.dynamics.base_parameters`.
-        samples: Of the objective's grid; 0 for `SAMPLES_PER_HARMONIC` per harmonic.
+        robot: Robot model; its inertial parameters are the nominal ones if `effort_max` is set.
+        q_min, q_max: Lower and upper limits of the joint positions [rad].
+        qd_max, qdd_max: Maximum speed and acceleration [rad/s, rad/s²].
+        jerk_max: Maximum jerk [rad/s³], None for no limit.
+        effort_max: Maximum torque of the nominal model [N·m], None for no limit.
+        harmonics: Number of harmonics H of the series.
+        fundamental_hz: Fundamental frequency ω/2π [Hz].
+        periods: Number of periods of the finished series; only one period is optimised.
+        objective: `condition` to minimise the condition number, `log_det` to maximise the
+            determinant of the information matrix.
+        scaled: Flag; if true, the condition number is computed with all regressor columns scaled to
+            length 1. The `log_det` objective does not depend on the scaling.
+        rotor: Flag; if true, rotor inertias are among the parameters.
+        friction: Flag; if true, Coulomb friction, viscous friction and torque offset of every joint
+            are among the parameters.
+        sign_width: Width of tanh(qd / width), the smooth sign function in Coulomb columns [rad/s].
+        earlier: (k, b) rows with the information of earlier trajectories: their regressor or its
+            triangle R, with the same columns as `columns`. `earlier` is None if there are no
+            earlier trajectories. See `after`.
+        collision: Distances between the bodies of the arm, its payload and the surroundings; None
+            for no collision check.
+        space: Distances of the flange to the faces of its space; None if the flange is not
+            confined.
+        clearance_m: Minimum distance to all bodies and to the faces of `space` [m].
+        centres: (m, n) poses from which the centres of the random starts are taken; None for random
+            centres within the position limits.
+        base: Base parameters to use instead of those of `hil.dynamics.base_parameters`.
+        samples: Number of samples on the grid of the objective; 0 for `SAMPLES_PER_HARMONIC` per
+            harmonic.
 
     Raises:
-        PlanError: Limits that no motion can keep; names all of them.
+        PlanError: No motion can satisfy the limits of the problem; the message lists every invalid
+            limit.
     """
 
     robot: RobotModel
@@ -104,12 +116,12 @@ class ExcitationProblem:
         if problems:
             raise PlanError(
                 "no excitation can be optimised: " + "; ".join(problems),
-                hint="give limits that leave the arm room to move",
+                hint="widen the limits, so that the arm can move",
             )
 
     @cached_property
     def columns(self) -> IdentificationColumns:
-        """The parameters that are to be identified."""
+        """Columns of the regressor, one per identified parameter."""
         return IdentificationColumns(
             self.robot,
             rotor=self.rotor,
@@ -120,34 +132,38 @@ class ExcitationProblem:
 
     @cached_property
     def basis(self) -> SeriesBasis:
-        """The series among which one is chosen."""
+        """Basis of all series with the harmonics and fundamental frequency of the problem."""
         return SeriesBasis(self.harmonics, self.fundamental_hz)
 
     @property
     def points(self) -> int:
-        """Samples of the objective's grid."""
+        """Number of samples on the grid of the objective."""
         return self.samples or SAMPLES_PER_HARMONIC * self.harmonics
 
     def limit(self, name: str) -> FloatArray:
-        """(n,) of one of the limits, infinite where there is none."""
+        """Return the limit `name` of each joint, (n,); infinite if there is no such limit."""
         value = getattr(self, name)
         return np.broadcast_to(np.inf if value is None else value, (self.robot.n,)).astype(float)
 
     def regressor(self, series: FourierSeries) -> FloatArray:
-        """(points·n, b) of one period of a series, its rows joint by joint."""
+        """Return the regressor (points·n, b) of one period of a series, rows grouped by joint."""
         grid, free = self.basis.grid(self.points), self.basis.coefficients(series).T
         return self.columns.rows(grid.q @ free, grid.qd @ free, grid.qdd @ free).transposed.T
 
     def information(self, *series: FourierSeries) -> FloatArray:
-        """(≤ b, b) triangle R with RᵀR the information of `series` and all earlier ones."""
+        """Return a triangle R (≤ b, b) of the regressor of `series` and all earlier series.
+
+        The product RᵀR is the information matrix of `series` and all earlier series.
+        """
         parts = [self.regressor(one) for one in series]
         parts += [] if self.earlier is None else [self.earlier]
         return np.asarray(np.linalg.qr(np.concatenate(parts), mode="r"))
 
     def after(self, *series: FourierSeries) -> ExcitationProblem:
-        """The same problem for a trajectory that is to complement `series`.
+        """Return the same problem for a trajectory that complements `series`.
 
-        Condition number and determinant are then those of all of them together.
+        The condition number and determinant of the returned problem are those of all trajectories
+        together.
         """
         return replace(self, earlier=self.information(*series))
 
@@ -167,7 +183,10 @@ class ExcitationProblem:
     def _bad_series(self) -> list[str]:
         bad = []
         if self.harmonics < LEAST_HARMONICS:
-            bad.append(f"{LEAST_HARMONICS} harmonics are needed for a motion from rest to rest")
+            bad.append(
+                f"at least {LEAST_HARMONICS} harmonics are needed for a motion that begins and "
+                "ends at standstill"
+            )
         if not self.fundamental_hz > 0 or self.periods < 1:
             bad.append("fundamental_hz must be above 0 and periods at least 1")
         if self.samples and self.samples <= 4 * self.harmonics:
@@ -179,9 +198,9 @@ class ExcitationProblem:
 
 
 class Grid(NamedTuple):
-    """The map on a grid of one period: each (N, f), times free coefficients (f, n).
+    """Matrices (N, f) that map free coefficients (f, n) to samples on a grid of one period.
 
-    `jerk` is the derivative of `qdd` [rad/s³].
+    The matrix `jerk` maps the free coefficients to the derivative of `qdd` [rad/s³].
     """
 
     q: FloatArray
@@ -192,15 +211,15 @@ class Grid(NamedTuple):
 
 @dataclass(frozen=True)
 class SeriesBasis:
-    """Series of eq. 29 of the PINN paper with Σ aᵢ = 0 and Σ i·bᵢ = 0 for every joint.
+    """Basis of the Fourier series (eq. 29, PINN paper) with Σ aᵢ = 0 and Σ i·bᵢ = 0 per joint.
 
-    Of the 2H + 1 coefficients of a joint 2H − 1 are free: its centre q₀ [rad], then the coordinates
-    of a and of b in the null spaces of the two conditions [rad/s]. The free coefficients of an arm
-    are an array (n, 2H − 1).
+    Each joint has 2H + 1 coefficients, of which 2H − 1 are free: the centre q₀ [rad], then the
+    coordinates of a and of b in the null spaces of the two conditions [rad/s]. The free
+    coefficients of an arm form an array (n, 2H − 1).
 
     Attributes:
-        harmonics: H, at least 2.
-        fundamental_hz: ω/2π.
+        harmonics: Number of harmonics H, at least 2.
+        fundamental_hz: Fundamental frequency ω/2π [Hz].
     """
 
     harmonics: int
@@ -212,7 +231,7 @@ class SeriesBasis:
         return 2 * self.harmonics - 1
 
     def grid(self, points: int) -> Grid:
-        """The map at t = 0, 1/points, … of one period, its end left out."""
+        """Return the grid at times 0, 1/points, … of one period, without the end of the period."""
         omega = 2.0 * np.pi * self.fundamental_hz * self._order
         phase = 2.0 * np.pi * np.outer(np.arange(points) / points, self._order)
         sin, cos, one = np.sin(phase), np.cos(phase), np.ones((points, 1))
@@ -226,13 +245,16 @@ class SeriesBasis:
         return Grid(*(np.hstack(parts) for parts in maps))
 
     def series(self, free: FloatArray, periods: int = 1) -> FourierSeries:
-        """The motion with free coefficients (n, f)."""
+        """Return the motion that has the free coefficients (n, f)."""
         (A, B), split = self._rest, self.harmonics
         a, b = _rows(free[:, 1:split] @ A.T), _rows(free[:, split:] @ B.T)
         return FourierSeries(tuple(map(float, free[:, 0])), a, b, self.fundamental_hz, periods)
 
     def coefficients(self, series: FourierSeries) -> FloatArray:
-        """(n, f) free coefficients of a series; what does not rest at its ends is projected."""
+        """Return the free coefficients (n, f) of a series.
+
+        A series that is not at rest at its ends is first projected onto the basis.
+        """
         A, B = self._rest
         return np.column_stack([series.q0, np.array(series.a) @ A, np.array(series.b) @ B])
 
@@ -242,7 +264,7 @@ class SeriesBasis:
 
     @property
     def _rest(self) -> tuple[FloatArray, FloatArray]:
-        """Orthonormal bases (H, H − 1) of the a and of the b that rest at both ends."""
+        """Orthonormal bases (H, H − 1) of the coefficients a and b with rest at both ends."""
         conditions = np.ones((1, self.harmonics)), self._order[None]
         A, B = (scipy.linalg.null_space(row) for row in conditions)
         return A, B
@@ -253,12 +275,12 @@ def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
 
 
 class Value(NamedTuple):
-    """The objective at a point.
+    """Value of the objective at a point.
 
     Attributes:
-        value: What is minimised, smooth.
-        gradient: (n·f,) by the free coefficients.
-        exact: The condition number, or −log det.
+        value: Smooth value of the objective, which is minimised.
+        gradient: (n·f,) derivatives of `value` by the free coefficients.
+        exact: Exact value of the objective: condition number, or −log det.
     """
 
     value: float
@@ -267,14 +289,14 @@ class Value(NamedTuple):
 
 
 class ValueOf:
-    """The objective of a problem.
+    """Objective function of an excitation problem.
 
     Args:
-        problem: Whose.
+        problem: Problem that defines the objective.
 
     Attributes:
-        evaluations: So far.
-        stages: Sharpness of `hil.dynamics.base.log_condition`, stage by stage.
+        evaluations: Number of evaluations of the objective so far.
+        stages: Sharpness of `hil.dynamics.base.log_condition` in each stage of the optimisation.
     """
 
     def __init__(self, problem: ExcitationProblem) -> None:
@@ -285,7 +307,7 @@ class ValueOf:
         self.stages = (2.0, 8.0, 32.0, 128.0) if problem.objective == "condition" else (1.0,)
 
     def __call__(self, free: FloatArray, sharpness: float) -> Value:
-        """At free coefficients (n, f)."""
+        """Return the value of the objective at the free coefficients (n, f)."""
         self.evaluations += 1
         rows = self._problem.columns.rows(*(part @ free.T for part in self._maps))
         G = rows.transposed @ rows.transposed.T + self._earlier
@@ -300,18 +322,21 @@ class ValueOf:
 
 
 POINTS_PER_HARMONIC = 40
-"""Costs 0.3 % of every limit."""
+"""Number of grid points per harmonic on which limits are checked; the reduction for the gaps
+between the points costs 0.3 % of every limit.
+"""
 
 KINDS = ("q", "qd", "qdd", "jerk")
 
 
 class LinearLimits:
-    """|map·free − centre| ≤ half, for every kind of limit, joint and point of a grid.
+    """Linear limits |map·free − centre| ≤ half, for every quantity, joint and grid point.
 
-    Rows are numbered by kind, sign, joint and point, and normalised: slack 1 is the whole limit.
+    Rows of the linear limits are numbered by quantity, sign, joint and grid point. All rows of the
+    linear limits are normalised: a slack of 1 is the whole limit.
 
     Args:
-        problem: Whose limits.
+        problem: Problem that defines the limits.
     """
 
     def __init__(self, problem: ExcitationProblem) -> None:
@@ -329,18 +354,18 @@ class LinearLimits:
         self.free_shape = (self._n, problem.basis.free)
 
     def slack(self, free: FloatArray) -> FloatArray:
-        """(kinds, 2, n, N) share of each limit that is left, for free coefficients (n, f)."""
+        """Return the unused share of each limit at free coefficients (n, f); (kinds, 2, n, N)."""
         way = (np.matmul(self._maps, free.T) - self._centre[:, None]) / self._half[:, None]
         way = way.transpose(0, 2, 1)
         return np.stack([1.0 - way, 1.0 + way], axis=1)
 
     def change(self, step: FloatArray) -> FloatArray:
-        """(kinds, 2, n, N) by how much a step (n, f) of the coefficients lessens the slack."""
+        """Return the decrease of the slack by a step (n, f) of coefficients; (kinds, 2, n, N)."""
         way = (np.matmul(self._maps, step.T) / self._half[:, None]).transpose(0, 2, 1)
         return np.stack([way, -way], axis=1)
 
     def rows(self, numbers: IntArray) -> FloatArray:
-        """(len(numbers), n·f) dense rows A with A·step = `change` there."""
+        """Return dense rows A, (len(numbers), n·f), with A·step equal to `change` at `numbers`."""
         kind, sign, joint, point = np.unravel_index(numbers, self.shape)
         values = self._maps[kind, point] * (1.0 - 2.0 * sign)[:, None]
         out = np.zeros((len(numbers), self._n, self._maps.shape[2]))
@@ -348,24 +373,30 @@ class LinearLimits:
         return out.reshape(len(numbers), self._n * self._maps.shape[2])
 
     def unit(self) -> FloatArray:
-        """(n·f,) size of every coefficient that alone reaches a limit; of the centre 1 rad."""
+        """Return for each coefficient, (n·f,), the size at which it alone reaches a limit.
+
+        The size of the coefficient of a centre is set to 1 rad.
+        """
         reached = np.abs(self._maps).max(axis=1)[:, None] / self._half[:, :, None]
         out = 1.0 / np.maximum(reached.max(axis=0), 1e-12)
         out[:, 0] = 1.0
         return np.asarray(out.ravel())
 
     def largest_scale(self, free: FloatArray) -> FloatArray:
-        """(n,) by which the motion of each joint about its centre can be multiplied."""
+        """Return for each joint, (n,), the largest factor by which its motion can be scaled."""
         moved = free.copy()
         moved[:, 0] = 0.0
         way = np.matmul(self._maps, moved.T)
         reached = np.abs(way[1:]).max(axis=1) / self._half[1:]
-        # Of the range only its width counts: the centre is chosen afterwards.
+        # Only the width of the position range matters: the centre is chosen afterwards.
         width = 0.5 * (way[0].max(axis=0) - way[0].min(axis=0)) / self._half[0]
         return np.asarray(1.0 / np.maximum(reached.max(axis=0), width))
 
     def centres(self, free: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Least and greatest q₀ (n,) that keep a motion in the box; ±π where there is none."""
+        """Return the smallest and largest centre q₀ (n,) of a motion within position limits.
+
+        Joints without position limits get the range ±π.
+        """
         moved = free.copy()
         moved[:, 0] = 0.0
         q = self._maps[0] @ moved.T
@@ -375,27 +406,31 @@ class LinearLimits:
 
 
 def peaks(slack: FloatArray, below: float) -> IntArray:
-    """Numbers of the rows whose slack is below a value and least among their neighbours in time."""
+    """Return the numbers of the rows whose slack is below `below` and a local minimum in time."""
     before, after = np.roll(slack, 1, axis=-1), np.roll(slack, -1, axis=-1)
     return np.flatnonzero((slack < below) & (slack <= before) & (slack <= after))
 
 
 DISTANCE_SCALE_M = 0.1
-"""An excess of 1 is so much too close, or all of a torque limit too much."""
+"""Missing distance [m] that counts as an excess of 1; a torque of twice its limit also counts as an
+excess of 1.
+"""
 
 DIFFERENCE_RAD = 1e-6
 TORQUES_AT_ONCE = 500
 
 RESERVE = 0.005
-"""Taken off every limit from the first: for what is exceeded between the points, and because steps
-come near to limits like these but seldom upon them."""
+"""Reserve: excess by which every nonlinear limit is tightened from the start. The reserve covers
+excesses between the grid points, and steps that approach nonlinear limits without reaching them
+exactly.
+"""
 
 TOLERATED = 0.5 * RESERVE
-"""Excess over a limit less its reserve that counts as none."""
+"""Maximum excess over a limit, reduced by its reserve, that is treated as zero."""
 
 
 class MotionSamples(NamedTuple):
-    """Samples of a motion, each (N, n)."""
+    """Samples of position, velocity and acceleration of a motion, each (N, n)."""
 
     q: FloatArray
     qd: FloatArray
@@ -403,37 +438,41 @@ class MotionSamples(NamedTuple):
 
 
 def torques(robot: RobotModel, at: MotionSamples) -> FloatArray:
-    """(N, n) of the nominal model, in blocks: to compile for many samples would take longer."""
+    """Return the joint torques of the nominal model (N, n) [N·m].
+
+    The torques are computed in blocks of samples, because compiling for many samples would take
+    longer.
+    """
     blocks = zip(*(np.array_split(x, 1 + len(x) // TORQUES_AT_ONCE) for x in at), strict=True)
     return np.concatenate([robot.inverse_dynamics(*block) for block in blocks])
 
 
 class MotionLimit(Protocol):
-    """A limit on every sample of a motion by itself."""
+    """Limit that applies to every sample of a motion separately."""
 
     def excess(self, at: MotionSamples) -> FloatArray:
-        """(R, N) by how much each of its rows is exceeded at each sample; negative where not."""
+        """Return the excess of each row at each sample, (R, N); negative within the limit."""
 
     def gradient(self, at: MotionSamples, row: IntArray) -> MotionSamples:
-        """Derivatives of the excess of row `row[k]` by sample k, each (N, n)."""
+        """Return the derivatives of the excess of row `row[k]` at sample k, each (N, n)."""
 
     def complaint(self, at: MotionSamples) -> str:
-        """What is worst about a motion."""
+        """Return a text that describes the worst violation of a motion."""
 
 
 class EffortLimit:
-    """Torques of the nominal model within limits: rows are upper limits, then lower ones."""
+    """Torque limits of the nominal model; one row per upper limit, then one per lower limit."""
 
     def __init__(self, problem: ExcitationProblem) -> None:
         self._robot, self._most = problem.robot, problem.limit("effort_max")
 
     def excess(self, at: MotionSamples) -> FloatArray:
-        """(2n, N) share of the limit."""
+        """Return the excess over the torque limit as a share of this limit, (2n, N)."""
         share = (torques(self._robot, at) / self._most).T
         return np.concatenate([share, -share]) - 1.0
 
     def gradient(self, at: MotionSamples, row: IntArray) -> MotionSamples:
-        """From the derivatives of inverse dynamics."""
+        """Return the derivatives of the torque excess, from the derivatives of inverse dynamics."""
         sign, joint = np.divmod(row, self._robot.n)
         factor = ((1.0 - 2.0 * sign) / self._most[joint])[:, None]
         samples = np.arange(len(row))
@@ -441,33 +480,33 @@ class EffortLimit:
         return MotionSamples(*(factor * part[samples, joint] for part in parts))
 
     def complaint(self, at: MotionSamples) -> str:
-        """The joint that lacks most."""
+        """Return a text that names the joint with the largest torque excess."""
         excess = self.excess(at)
         joint = int(np.unravel_index(excess.argmax(), excess.shape)[0]) % self._robot.n
         needed = self._most[joint] * (1.0 + excess.max())
         return (
-            f"{self._robot.joint_names[joint]} needs {needed:.3g} N·m where "
-            f"{self._most[joint]:.3g} are allowed"
+            f"{self._robot.joint_names[joint]} needs {needed:.3g} N·m, only "
+            f"{self._most[joint]:.3g} N·m are allowed"
         )
 
 
 class DistanceLimit:
-    """A distance kept between all bodies, or to all faces of a space: a row for each pair.
+    """Minimum distance between all bodies, or to all faces of a space; one row per pair.
 
     Args:
-        model: Gives the distances.
-        kept_m: The least allowed.
+        model: Model that computes the distances.
+        kept_m: Minimum distance of each pair [m].
     """
 
     def __init__(self, model: Distances, kept_m: float) -> None:
         self._model, self._kept = model, kept_m
 
     def excess(self, at: MotionSamples) -> FloatArray:
-        """(R, N) of `DISTANCE_SCALE_M`."""
+        """Return the missing distance in units of `DISTANCE_SCALE_M`, (R, N)."""
         return (self._kept - self._model.distances(at.q)) / DISTANCE_SCALE_M
 
     def gradient(self, at: MotionSamples, row: IntArray) -> MotionSamples:
-        """By central differences, all different samples and joints in one call."""
+        """Return central differences of the excess, computed for all samples in one call."""
         q, number = np.unique(at.q, axis=0, return_inverse=True)
         N, n = q.shape
         steps = DIFFERENCE_RAD * np.stack([np.eye(n), -np.eye(n)])
@@ -478,41 +517,41 @@ class DistanceLimit:
         return MotionSamples(slope, np.zeros_like(slope), np.zeros_like(slope))
 
     def closest(self, at: MotionSamples) -> tuple[float, tuple[str, str]]:
-        """Least distance beyond the one that is kept [m], and between what."""
+        """Return the smallest distance minus the required one [m], and the names of the pair."""
         distances = self._model.distances(at.q)
         row = int(np.unravel_index(distances.argmin(), distances.shape)[0])
         return float(distances.min()) - self._kept, self._model.names[row]
 
     def complaint(self, at: MotionSamples) -> str:
-        """The bodies that are closest."""
+        """Return a text that names the two closest bodies."""
         beyond, bodies = self.closest(at)
         return (
-            f"{' and '.join(bodies)} come as near as {1e3 * (beyond + self._kept):.0f} mm where "
-            f"{1e3 * self._kept:.0f} mm are kept"
+            f"{' and '.join(bodies)} come within {1e3 * (beyond + self._kept):.0f} mm of each "
+            f"other, {1e3 * self._kept:.0f} mm are required"
         )
 
 
 class SpaceLimit(DistanceLimit):
-    """The flange inside its space."""
+    """Minimum distance of the flange to the faces of its space, measured inwards from the faces."""
 
     def complaint(self, at: MotionSamples) -> str:
-        """Return the face that is furthest overstepped."""
+        """Return a text that names the face with the largest violation by the flange."""
         beyond, (point, face) = self.closest(at)
         depth = beyond + self._kept
         if depth < 0:
             return f"the {point} goes {-1e3 * depth:.0f} mm beyond {face}"
         return (
-            f"the {point} stays only {1e3 * depth:.0f} mm inside {face} where "
-            f"{1e3 * self._kept:.0f} mm are kept"
+            f"the {point} stays only {1e3 * depth:.0f} mm inside {face}, "
+            f"{1e3 * self._kept:.0f} mm are required"
         )
 
 
 class MotionLimits:
-    """All limits of a problem that are not linear, on a grid of one period.
+    """All nonlinear limits of an excitation problem, on a grid of one period.
 
     Attributes:
-        limits: Those there are.
-        reserve: Taken off each, in its own scale.
+        limits: Nonlinear limits that the problem defines.
+        reserve: Excess by which each limit is tightened, in the scale of that limit.
     """
 
     def __init__(self, problem: ExcitationProblem) -> None:
@@ -529,14 +568,17 @@ class MotionLimits:
         self._maps = np.stack(problem.basis.grid(self._points)[:3])
 
     def motion(self, free: FloatArray, denser: int = 1) -> MotionSamples:
-        """Samples of the motion with free coefficients (n, f)."""
+        """Return samples of the motion that has the free coefficients (n, f).
+
+        The grid of the samples has `denser` times as many points as the grid of the limits.
+        """
         maps = self._maps
         if denser > 1:
             maps = np.stack(self._basis.grid(denser * self._points)[:3])
         return MotionSamples(*np.matmul(maps, free.T))
 
     def excess(self, free: FloatArray) -> FloatArray:
-        """(R, N) of all limits, their reserves added."""
+        """Return the excess of all limits with their reserves added, (R, N)."""
         at = self.motion(free)
         parts = [
             limit.excess(at) + reserve
@@ -545,7 +587,12 @@ class MotionLimits:
         return np.concatenate(parts) if parts else np.empty((0, self._points))
 
     def rows(self, free: FloatArray, numbers: IntArray) -> FloatArray:
-        """(len(numbers), n·f) derivatives of some of `excess`, numbered along its rows."""
+        """Return the derivatives of selected elements of `excess`, (len(numbers), n·f).
+
+        Args:
+            free: Free coefficients (n, f).
+            numbers: Flat indices of the selected elements of `excess`.
+        """
         at = self.motion(free)
         row, sample = np.divmod(numbers, self._points)
         out = np.empty((len(numbers), free.size))
@@ -563,36 +610,38 @@ class MotionLimits:
         return out
 
     def exceeded(self, free: FloatArray, denser: int) -> FloatArray:
-        """(limits,) largest excess on a denser grid, without reserve."""
+        """Return the largest excess over each limit on a denser grid, without reserve."""
         at = self.motion(free, denser)
         return np.array([limit.excess(at).max() for limit in self.limits])
 
     def complaint(self, free: FloatArray) -> str:
-        """What is worst about a motion that exceeds a limit."""
+        """Return a text that describes the worst violation of each exceeded limit."""
         at = self.motion(free)
         said = [limit.complaint(at) for limit in self.limits if limit.excess(at).max() > 0]
         return "; ".join(said)
 
 
 DENSER = 10
-"""Points of the grid that margins are taken on, for each of the limits' own."""
+"""Ratio between the number of grid points for margins and the number of grid points for limits."""
 
 ROUNDING = 1e-9
-"""Excess that counts as none."""
+"""Maximum excess that is treated as zero because of rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Margins:
-    """What a series leaves of every limit, on a dense grid; negative where one is exceeded.
+    """Margins of a series to every limit, on a dense grid; negative beyond a limit.
 
     Attributes:
-        position_rad: (n,) to the nearer end of the position box.
-        velocity, acceleration: (n,) share of the limit that is left.
-        jerk, effort: (n,) the same, None where there is no limit.
-        clearance_m: Distance beyond what is kept, None where it is not checked.
-        bodies: Between which two bodies that is.
-        space_m: Distance of the flange to the faces of its space beyond what is kept, None if it
-            may go anywhere.
+        position_rad: (n,) distance to the nearer position limit.
+        velocity, acceleration: (n,) unused share of the velocity and acceleration limits.
+        jerk, effort: (n,) unused share of the jerk and torque limits, None if there is no such
+            limit.
+        clearance_m: Smallest distance between bodies minus the required distance [m], None if
+            distances are not checked.
+        bodies: Names of the two bodies with the smallest distance.
+        space_m: Smallest distance of the flange to the faces of its space minus the required
+            distance [m], None if the flange is not confined.
     """
 
     position_rad: FloatArray
@@ -606,13 +655,13 @@ class Margins:
 
     @property
     def feasible(self) -> bool:
-        """Whether no limit is exceeded."""
+        """Whether the series exceeds no limit."""
         shares = (self.velocity, self.acceleration, self.jerk, self.effort, self.position_rad)
         least = min(float(np.min(share)) for share in shares if share is not None)
         return min(least, self.clearance_m or 0.0, self.space_m or 0.0) >= -ROUNDING
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the margins as a JSON object."""
         out: dict[str, Any] = {}
         for name in ("position_rad", "velocity", "acceleration", "jerk", "effort"):
             value = getattr(self, name)
@@ -623,12 +672,12 @@ class Margins:
 
 
 def margins_of(problem: ExcitationProblem, series: FourierSeries, points: int = 0) -> Margins:
-    """The margins of any series to a problem's limits.
+    """Compute the margins of a series to the limits of a problem.
 
     Args:
-        problem: Whose limits.
-        series: The motion.
-        points: Of the grid over one period; 0 for `DENSER` times the limits' own.
+        problem: Problem that defines the limits.
+        series: Fourier series whose margins are computed.
+        points: Number of grid points of one period; 0 for `DENSER` times the grid of the limits.
     """
     points = points or DENSER * POINTS_PER_HARMONIC * problem.harmonics
     grid, free = problem.basis.grid(points), problem.basis.coefficients(series).T

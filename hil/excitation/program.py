@@ -1,8 +1,8 @@
-"""What an excitation is, what it is given, and the visits it gives back.
+"""Interface of an excitation: its inputs, and the program of visits that it returns.
 
 An excitation (entry point `hil.excitations`) turns a roadmap of the workspace into a `Program` of
-visits, each a few connected motions measured in one go. One that computes with the robot's
-dynamics also gets a `Setting`, and says how far it is by `Advance`.
+visits. Each visit consists of a few connected motions that are measured together. An excitation
+that needs the robot dynamics also receives a `Setting`, and reports its progress as `Advance`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """A step of a plan that does not know its number and load yet (see `hil.planning.Step`)."""
+    """Step of a plan, without its step number and load (see `hil.planning.Step`)."""
 
     kind: Literal["warmup", "move", "dwell", "trajectory", "reference", "weigh"]
     motion: Motion
@@ -36,11 +36,12 @@ class Action:
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """One pose or one trajectory: connected motions, clear in themselves.
+    """Visit to one pose or one trajectory: connected motions, all clear of collisions.
 
     Attributes:
-        actions: In order; each motion starts where the one before it ended.
-        label: What messages call it, e.g. `waypoints.csv:12`.
+        actions: Actions of the visit in order; each motion starts at the end of the previous
+            motion.
+        label: Name of the visit in messages, such as `waypoints.csv:12`.
     """
 
     actions: tuple[Action, ...]
@@ -48,28 +49,28 @@ class Visit:
 
     @property
     def entry(self) -> FloatArray:
-        """(n,) where the arm has to be before the visit."""
+        """Position of the arm that is required before the visit, (n,)."""
         return self.actions[0].motion.q_start
 
     @property
     def exit(self) -> FloatArray:
-        """(n,) where the visit leaves the arm."""
+        """Position of the arm after the visit, (n,)."""
         return self.actions[-1].motion.q_end
 
     @property
     def motions(self) -> list[Motion]:
-        """The motions of the actions."""
+        """Motions among the actions of the visit."""
         return [action.motion for action in self.actions]
 
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """The visits of an excitation.
+    """Visits that an excitation requests.
 
     Attributes:
-        visits: What is to be measured.
-        spares: What may stand in for visits that cannot be reached.
-        shuffle_seed: Seed for a random order; None to keep the order given.
+        visits: Visits that are measured.
+        spares: Spare visits that replace visits that cannot be reached.
+        shuffle_seed: Seed for a random order of the visits; None to retain the order of `visits`.
     """
 
     visits: Sequence[Visit]
@@ -78,13 +79,13 @@ class Program:
 
 
 class Excitation(Protocol):
-    """What the entry points `hil.excitations` provide: `Kind(spec, folder).program(roadmap)`."""
+    """Interface of the entry points `hil.excitations`: `Kind(spec, folder).program(roadmap)`."""
 
     def program(self, roadmap: Roadmap) -> Program:
-        """The visits, all within the limits of `roadmap.workspace` and clear in themselves.
+        """Return the program of visits, all clear and within the limits of `roadmap.workspace`.
 
         Raises:
-            SpecError: The spec or a file it names asks for something that cannot be.
+            SpecError: The spec, or a file named in the spec, contains an impossible request.
             PlanError: Too few visits are possible in this workspace.
         """
 
@@ -99,10 +100,11 @@ def pose_visit(
     kind: Literal["dwell", "reference", "weigh"] = "dwell",
     pose: int = -1,
 ) -> Visit:
-    """Dwell at `q` (n,), once per approach.
+    """Return a visit that dwells at `q` (n,) once per approach direction.
 
-    From below means: from q − δ in every joint at once, so that friction has the same sign
-    everywhere and its two signs frame the gravity torque.
+    The approach in positive direction starts at q − δ in all joints simultaneously. With
+    simultaneous approach, friction has the same sign in all joints, and the gravity torque lies
+    between the torques of the two approach directions.
     """
     hold = Hold(tuple(map(float, q)))
     if approach == "free":
@@ -120,14 +122,17 @@ def pose_visit(
 
 @dataclass(frozen=True, slots=True)
 class Advance:
-    """How far a computation of trajectories is.
+    """Progress of the computation of trajectories.
 
     Attributes:
-        trajectory, trajectories: Number of the one at work, from 1, and of all; 0 for a note.
-        start, starts: The same for its random starts.
-        best: Condition number reached so far; infinite while there is none, or none is asked for.
-        left_s: Time that is probably left for all of them, None where nothing can be said yet.
-        note: Something to be told once.
+        trajectory, trajectories: Number of the current trajectory, from 1, and total number of
+            trajectories; 0 if the event is only a note.
+        start, starts: Number of the current random start, and total number of starts.
+        best: Best condition number so far; infinite if there is none yet or if the objective is not
+            the condition number.
+        left_s: Estimated time for all remaining trajectories [s], None if no estimate is possible
+            yet.
+        note: Message that is shown one time; empty for none.
     """
 
     trajectory: int = 0
@@ -139,12 +144,12 @@ class Advance:
     note: str = ""
 
     def to_event(self) -> dict[str, Any]:
-        """What observers of a run are told."""
+        """Return the progress as an event for the observers of a run."""
         return {"kind": "excitation"} | asdict(self)
 
     @classmethod
     def from_event(cls, event: Mapping[str, Any]) -> Advance:
-        """Inverse of `to_event`."""
+        """Return the progress described by an event; the inverse of `to_event`."""
         return cls(**{name: value for name, value in event.items() if name in cls.__slots__})
 
 
@@ -152,21 +157,21 @@ Watch = Callable[[Advance], None]
 
 
 def unwatched(advance: Advance) -> None:
-    """Tells nobody."""
+    """Ignore the progress."""
 
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """A robot at its place, as far as its dynamics go.
+    """Robot in its station, with all data that are needed to compute its dynamics.
 
     Attributes:
-        robot: The arm without load, mounted as the station says.
-        effort_max: (n,) its torque limits [N·m].
-        loads: Every load of the experiment.
-        collision: Distances with the largest of the loads.
-        identity: Everything about arm and surroundings that motions depend on, as JSON.
-        cache: Where results are kept.
-        watch: Is told how far it is.
+        robot: Model of the arm without payload, mounted as in the station.
+        effort_max: (n,) torque limits [N·m].
+        loads: All payloads of the experiment.
+        collision: Distances between bodies for the arm with the largest payload.
+        identity: JSON object with all properties of arm and surroundings that affect the motions.
+        cache: Cache of computed trajectories.
+        watch: Callback that receives the progress of the computation.
     """
 
     robot: RobotModel
@@ -179,13 +184,13 @@ class Setting:
 
     @property
     def heaviest(self) -> Payload:
-        """The load that torques are computed with."""
+        """Payload with the largest mass; nominal torques are computed with this payload."""
         return max(self.loads, key=lambda load: load.mass)
 
 
 @runtime_checkable
 class Computes(Protocol):
-    """An excitation that needs more than a roadmap."""
+    """Interface of an excitation that needs the robot dynamics in addition to a roadmap."""
 
     def compute_with(self, setting: Setting) -> None:
-        """Called once, before `program`."""
+        """Store the robot and its payloads; called exactly one time, before `program`."""

@@ -1,8 +1,8 @@
-"""What samples tell about a robot's parameters, and what trajectories leave of every limit.
+"""Information of trajectories about robot parameters, and margins of trajectories to every limit.
 
-`Information` is the triangle of a regressor: condition numbers and standard errors follow from it.
-`appraise` computes everything from the finished motions at the robot's own samples; nothing is
-taken from the search that found them.
+`Information` is the triangle R of a regressor, from which condition numbers and standard errors
+follow. `appraise` computes information and margins from the finished motions at the command rate.
+Results of the search that found the motions do not enter the appraisal.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 
 REGRESSOR_ROWS = 1000
-"""Samples of a trajectory that its regressor is computed from, at most about."""
+"""Approximate maximum number of samples of a trajectory in its regressor."""
 
 
 class Limits(NamedTuple):
-    """What trajectories have to keep to: each (n,), infinite where there is no limit.
+    """Limits of trajectories, each (n,); infinite if there is no limit.
 
-    `q_min` and `q_max` [rad], `velocity` [rad/s], `acceleration` [rad/s²], `jerk` [rad/s³],
-    `effort` [N·m], `clearance_m`.
+    Units of the limits: `q_min` and `q_max` [rad], `velocity` [rad/s], `acceleration` [rad/s²],
+    `jerk` [rad/s³], `effort` [N·m], `clearance_m` [m].
     """
 
     q_min: FloatArray
@@ -45,7 +45,7 @@ class Limits(NamedTuple):
 
 
 class Closest(NamedTuple):
-    """The smallest distance to anything [m], between which bodies, and when [s]."""
+    """Smallest distance [m], names of the two closest bodies, and time of the minimum [s]."""
 
     distance_m: float
     bodies: tuple[str, str]
@@ -54,24 +54,24 @@ class Closest(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Information:
-    """The triangle R of a regressor W = Q·R, which tells as much about parameters as W itself.
+    """Triangle R of a regressor W = Q·R; R contains the same information about parameters as W.
 
     Attributes:
         triangle: (b, b) upper triangle.
-        names: (b,) of the parameters.
+        names: (b,) names of the parameters.
     """
 
     triangle: FloatArray
     names: tuple[str, ...]
 
     def with_more(self, other: Information) -> Information:
-        """What both tell together."""
+        """Return the combined information of this and the other regressor."""
         stacked = np.vstack([self.triangle, other.triangle])
         return Information(_triangle(stacked), self.names)
 
     @property
     def condition_raw(self) -> float:
-        """Condition number of the regressor as it stands, in mixed units."""
+        """Condition number of the unscaled regressor, in mixed units."""
         return float(np.linalg.cond(self.triangle))
 
     @property
@@ -82,16 +82,16 @@ class Information:
 
     @property
     def singular_values(self) -> FloatArray:
-        """(b,) of the regressor with every column scaled to length 1, largest first."""
+        """Singular values (b,) of the regressor with columns scaled to length 1, largest first."""
         length = np.linalg.norm(self.triangle, axis=0)
         scaled = self.triangle / np.where(length > 0, length, 1.0)
         return np.asarray(np.linalg.svd(scaled, compute_uv=False))
 
     @property
     def standard_errors(self) -> FloatArray:
-        """(b,) of parameters fitted by least squares, per unit of noise in every effort.
+        """Standard errors (b,) of a least-squares fit, per unit of noise in every effort.
 
-        All infinite where the samples do not determine every parameter.
+        All standard errors are infinite if the samples do not determine every parameter.
         """
         if np.any(np.diag(self.triangle) == 0):
             return np.full(len(self.names), np.inf)
@@ -100,24 +100,24 @@ class Information:
 
 
 def _triangle(W: FloatArray) -> FloatArray:
-    """(b, b) of a regressor (M, b), with rows of zeros where it is shorter than wide."""
+    """Return the triangle (b, b) of a regressor (M, b), padded with zero rows if M < b."""
     rows: FloatArray = scipy.linalg.qr(W, mode="r")[0][: W.shape[1]]
     return np.pad(rows, ((0, W.shape[1] - len(rows)), (0, 0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """One trajectory.
+    """Appraisal of one trajectory.
 
     Attributes:
-        series: The motion.
-        samples: Its set-points.
-        jerk: (N, n) [rad/s³].
-        effort: (L, N, n) torque of the nominal rigid body with each load [N·m].
-        clearance: (N,) distance to anything [m].
-        alone: What it tells by itself.
-        jointly: What it tells together with those before it.
-        closest: Where it comes closest to something.
+        series: Motion of the trajectory.
+        samples: Set-points of the trajectory at the command rate.
+        jerk: (N, n) jerk [rad/s³].
+        effort: (L, N, n) torque of the nominal rigid-body model with each load [N·m].
+        clearance: (N,) smallest distance between bodies [m].
+        alone: Information of this trajectory alone.
+        jointly: Information of this trajectory together with the earlier ones.
+        closest: Smallest distance of this trajectory, with bodies and time.
     """
 
     series: FourierSeries
@@ -132,12 +132,12 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Appraisal:
-    """All trajectories of a program.
+    """Appraisal of all trajectories of a program.
 
     Attributes:
-        joint_names: (n,).
-        limits: What they keep to.
-        trajectories: In order.
+        joint_names: (n,) names of the joints.
+        limits: Limits of the trajectories.
+        trajectories: Appraised trajectories of the program, in order.
     """
 
     joint_names: tuple[str, ...]
@@ -146,25 +146,25 @@ class Appraisal:
 
     @property
     def jointly(self) -> Information:
-        """What all of them tell together."""
+        """Information of all trajectories together."""
         return self.trajectories[-1].jointly
 
     @property
     def closest(self) -> tuple[int, Closest]:
-        """Number of the trajectory that comes closest to something, and where it does."""
+        """Number of the trajectory with the smallest distance, and that smallest distance."""
         closest = [trajectory.closest for trajectory in self.trajectories]
         number = min(range(len(closest)), key=lambda i: closest[i].distance_m)
         return number, closest[number]
 
     @property
     def margins(self) -> dict[str, FloatArray]:
-        """(n,) what all of them together leave of each limit, by name and unit."""
+        """Smallest margins (n,) over all trajectories, by name and unit of the limit."""
         each = [margins_of(trajectory, self.limits) for trajectory in self.trajectories]
         return {name: np.min([margins[name] for margins in each], axis=0) for name in each[0]}
 
 
 def margins_of(trajectory: Trajectory, limits: Limits) -> dict[str, FloatArray]:
-    """(n,) what one trajectory leaves of each limit, by name and unit; negative beyond it."""
+    """Return the margins (n,) of a trajectory by name and unit; negative beyond a limit."""
     samples = trajectory.samples
     q = np.vstack([trajectory.series.q_start, samples.q])
     return {
@@ -185,15 +185,16 @@ def appraise(
     rotor: bool = True,
     friction: bool = False,
 ) -> Appraisal:
-    """Appraise trajectories.
+    """Return the information of trajectories and their margins to the limits.
 
     Args:
-        motions: At least one.
-        workspace: Where they are.
-        setting: The robot and its loads.
-        limits: What they have to keep to.
-        rotor: Whether rotor inertias count as parameters.
-        friction: Whether Coulomb, viscous and offset friction do.
+        motions: Trajectories to appraise, at least one.
+        workspace: Workspace of the arm.
+        setting: Robot model and its payloads.
+        limits: Limits of the trajectories.
+        rotor: Flag; if true, rotor inertias are among the parameters.
+        friction: Flag; if true, Coulomb friction, viscous friction and torque offsets are among the
+            parameters.
     """
     regressor = Regressor(setting.robot, rotor=rotor, friction=friction)
     out: list[Trajectory] = []
@@ -226,7 +227,7 @@ def _closest(workspace: Workspace, samples: Samples, clearance: FloatArray) -> C
 
 
 def jerk_of(series: FourierSeries, t: FloatArray) -> FloatArray:
-    """(N, n) third derivative of a series at times `t` (N,) [rad/s³]."""
+    """Return the jerk (N, n) of a series at times `t` (N,) [rad/s³]."""
     omega = 2 * np.pi * series.fundamental_hz * np.arange(1.0, len(series.a[0]) + 1)
     phase = t[:, None] * omega
     a, b = (omega[:, None] ** 2 * np.array(rows).T for rows in (series.a, series.b))
@@ -234,16 +235,17 @@ def jerk_of(series: FourierSeries, t: FloatArray) -> FloatArray:
 
 
 SIGN_WIDTH_RAD_S = 0.01
-"""Of tanh(qd / width), which stands for the sign in Coulomb columns."""
+"""Width of tanh(qd / width), the smooth sign function in Coulomb columns [rad/s]."""
 
 
 class Regressor:
-    """The base regressor of a robot, with columns of friction on request.
+    """Base regressor of a robot, with optional friction columns.
 
     Args:
-        robot: The arm.
-        rotor: Whether rotor inertias count as parameters.
-        friction: Whether Coulomb, viscous and offset friction of each joint do.
+        robot: Robot model.
+        rotor: Flag; if true, rotor inertias are among the parameters.
+        friction: Flag; if true, Coulomb friction, viscous friction and torque offset of each joint
+            are among the parameters.
     """
 
     def __init__(self, robot: RobotModel, *, rotor: bool = True, friction: bool = False) -> None:
@@ -255,7 +257,7 @@ class Regressor:
         self.names = (*self._base.names, *(more if friction else ()))
 
     def columns(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """(N·n, b) regressor at q, qd, qdd, each (N, n)."""
+        """Return the regressor (N·n, b) at the samples q, qd, qdd, each (N, n)."""
         W = self._base.reduce(self._robot.regressor(q, qd, qdd, rotor=self._rotor))
         if not self._friction:
             return W
@@ -263,12 +265,12 @@ class Regressor:
         return np.hstack([W, *(_of_each_joint(signal) for signal in signals)])
 
     def information(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> Information:
-        """What samples tell; q, qd, qdd each (N, n)."""
+        """Return the information of the samples q, qd, qdd, each (N, n)."""
         return Information(_triangle(self.columns(q, qd, qdd)), self.names)
 
 
 def _of_each_joint(signal: FloatArray) -> FloatArray:
-    """(N·n, n) columns of one parameter per joint, for a signal (N, n)."""
+    """Return regressor columns (N·n, n) with one parameter per joint, for a signal (N, n)."""
     samples, n = signal.shape
     out = np.zeros((samples, n, n))
     out[:, np.arange(n), np.arange(n)] = signal

@@ -1,10 +1,11 @@
-"""Ways between poses: straight when that is clear, else over a few well-spread poses.
+"""Clear paths between poses: straight lines, or polylines over well-spread intermediate poses.
 
-Joint space may fall apart into regions that no motion within the joint ranges connects (a wrist
-that cannot turn past the forearm is enough). The roadmap keeps to the largest one, or to the one
-with most of the poses that a program has to reach. It is lazy (Bohlin and Kavraki 2000): a way
-is searched over connections that look clear at a few samples, then those on it are checked at
-every sample, and the search is repeated without the bad ones.
+Joint space may consist of several regions that no motion within the joint ranges connects, for
+example if a wrist cannot turn past the forearm. The roadmap uses the largest region of joint space,
+or the region that contains most of the poses that a program must reach. The roadmap is lazy (Bohlin
+and Kavraki 2000): a path is first searched over connections that are clear at a few samples. The
+connections of the path found are then checked at every sample, and the search is repeated without
+the blocked connections.
 """
 
 from __future__ import annotations
@@ -19,26 +20,30 @@ from hil.excitation.motion import STANDSTILL_RAD, Line
 from hil.excitation.workspace import Workspace
 
 STOP_COST_RAD = 0.5
-"""What one more stop on the way counts for, as distance of the joint that has furthest to go."""
+"""Cost of each additional stop on a path, expressed as a joint angle [rad] of the joint with the
+longest path.
+"""
 
 NEAREST = 4
-"""Poses of the roadmap a pose is tried to be connected with."""
+"""Number of nearest roadmap poses to which the roadmap tries to connect a pose."""
 
 
 class Roadmap:
-    """Ways through a workspace.
+    """Clear paths through a workspace, computed by a lazy roadmap.
 
     Args:
-        workspace: Where the ways must be clear.
-        poses: (M, n) clear poses to travel over, well spread.
-        wanted: (k, n) clear poses that have to be reached. They are travelled over as well, and of
-            the connected regions the one with most of them is chosen.
-        start: (n,) where the robot stands. Of regions that hold as many of `wanted` the largest
-            that can be reached from there in a straight line is chosen.
+        workspace: Workspace in which the paths must be clear.
+        poses: (M, n) clear, well-spread poses for the paths to use as intermediate poses.
+        wanted: (k, n) clear poses that must be reached. The `wanted` poses also serve as
+            intermediate poses of the paths. The connected region that contains most of the `wanted`
+            poses is chosen.
+        start: (n,) current position of the robot. If several regions contain equally many `wanted`
+            poses, the largest region that a straight line from `start` reaches is chosen.
 
     Attributes:
-        poses: (m, n) those of the chosen region, by default the largest.
-        home: (n,) the roomiest of them.
+        poses: (m, n) poses of the chosen region; without `wanted` and `start`, the largest region
+            is chosen.
+        home: (n,) pose of the chosen region with the largest distance from obstacles.
 
     Raises:
         PlanError: No two of the poses are connected.
@@ -59,7 +64,7 @@ class Roadmap:
         look_clear = self._seen_from_each_other(poses)
         regions = self._regions(poses, look_clear)
         most = max(_count_from(region, drawn) for region in regions)
-        # The largest first; which of equal ones does not depend on anything but the poses.
+        # The stable sort makes the choice between equally large regions depend on the poses only.
         regions = sorted(
             (region for region in regions if _count_from(region, drawn) == most),
             key=len,
@@ -76,7 +81,7 @@ class Roadmap:
         self.home: FloatArray = self.poses[int(workspace.room(self.poses).argmax())]
 
     def seem_connected(self, q: FloatArray) -> BoolArray:
-        """(N,) whether straight lines to near poses of the roadmap look clear for `q` (N, n)."""
+        """Return for each of `q` (N, n) whether straight lines to near poses look clear; (N,)."""
         distance = np.abs(q[:, None] - self.poses[None]).max(axis=2)
         near = np.argsort(distance, axis=1, kind="stable")[:, :NEAREST]
         starts = np.repeat(q, near.shape[1], axis=0)
@@ -89,7 +94,10 @@ class Roadmap:
         return self.workspace.line(self.poses[nearest], q)
 
     def way(self, start: FloatArray, goal: FloatArray) -> list[Line] | None:
-        """Clear lines from `start` to `goal`: none needed is [], no way at all is None."""
+        """Return clear lines from `start` to `goal`, or None if there is no clear path.
+
+        The returned list of lines is empty if `start` and `goal` are the same position.
+        """
         if np.max(np.abs(goal - start)) < STANDSTILL_RAD:
             return []
         straight = self.workspace.line(start, goal)
@@ -106,7 +114,10 @@ class Roadmap:
         return found
 
     def _search(self, nodes: FloatArray, open_: BoolArray) -> list[Line] | None:
-        """A way from the last but one of `nodes` to the last; closes connections in `open_`."""
+        """Return a path from the second-last of `nodes` to the last of `nodes`, or None.
+
+        Connections that turn out to be blocked are set to false in `open_`.
+        """
         last = len(nodes) - 1
         cost = np.abs(nodes[:, None] - nodes[None]).max(axis=2) + STOP_COST_RAD
         while path := _shortest(np.where(open_, cost, np.inf), last - 1, last):
@@ -122,21 +133,22 @@ class Roadmap:
         return self.workspace.are_clear([line])
 
     def _looks_clear(self, starts: FloatArray, goals: FloatArray) -> BoolArray:
-        """(S, G) whether the lines between all `starts` (S, n) and `goals` (G, n) look clear."""
+        """Return for each start and each goal whether the line between them looks clear, (S, G)."""
         s, g = np.indices((len(starts), len(goals))).reshape(2, -1)
         return self.workspace.look_clear(starts[s], goals[g]).reshape(len(starts), len(goals))
 
     def _seen_from_each_other(self, poses: FloatArray) -> BoolArray:
-        """(N, N) whether lines between `poses` (N, n) look clear; each is looked at once."""
+        """Return for each pair of poses (N, n) whether their line looks clear, (N, N)."""
         one, other = np.triu_indices(len(poses), 1)
         looks = np.zeros((len(poses), len(poses)), dtype=bool)
         looks[one, other] = self.workspace.look_clear(poses[one], poses[other])
         return _symmetric(looks)
 
     def _regions(self, poses: FloatArray, open_: BoolArray) -> list[IntArray]:
-        """Return the indices of the poses in each connected region, each connection checked.
+        """Return the indices of the poses in each connected region; all connections are checked.
 
-        Kruskal's algorithm: the shortest connections first, only those that join two regions.
+        The method is Kruskal's algorithm: the shortest connections are checked first, and only
+        connections that join two regions.
         """
         region = np.arange(len(poses))
         for a, b in _by_length(poses, open_):
@@ -148,9 +160,10 @@ class Roadmap:
         return [np.flatnonzero(region == name) for name in np.unique(region)]
 
     def _leads_to(self, start: FloatArray, poses: FloatArray) -> bool:
-        """Whether a straight line from `start` (n,) to one of `poses` (m, n) is clear.
+        """Return whether a straight line from `start` (n,) to one of `poses` (m, n) is clear.
 
-        A single pose leads nowhere else and does not count.
+        For a region with a single pose, the return value is always False, because such a region is
+        not useful.
         """
         near = poses[self._looks_clear(start[None], poses)[0]]
         lines = [self.workspace.line(start, q) for q in near]
@@ -158,19 +171,19 @@ class Roadmap:
 
 
 def _count_from(region: IntArray, first: int) -> int:
-    """Return how many indices of a region are `first` or above."""
+    """Return how many indices of a region are greater than or equal to `first`."""
     return int(np.count_nonzero(region >= first))
 
 
 def _unconnected(workspace: Workspace, poses: FloatArray) -> PlanError:
-    """Return the error for poses (M, n) of which no two are connected."""
+    """Return the error for poses (M, n) that are all unconnected."""
     everywhere = np.ones((len(poses), len(poses)), dtype=bool)
     a, b = next(_by_length(poses, everywhere), (0, 0))
     why = workspace.obstacle([workspace.line(poses[a], poses[b])])
     return PlanError(
-        "no clear motion leads from one pose to another"
+        "no collision-free motion leads from one pose to another"
         + (f"; between the nearest two: {why}" if why else ""),
-        hint=f"{workspace.larger_space}see whether the station's surroundings are as described",
+        hint=f"{workspace.larger_space}check the station's surroundings",
     )
 
 
@@ -182,13 +195,13 @@ def _by_length(poses: FloatArray, open_: BoolArray) -> Iterator[tuple[int, int]]
 
 
 def _symmetric(upper: BoolArray) -> BoolArray:
-    """A matrix of connections from its upper triangle, which works both ways."""
+    """Return the symmetric matrix of connections that has the given upper triangle."""
     strict = np.triu(upper, 1)
     return np.asarray(strict | strict.T)
 
 
 def _shortest(cost: FloatArray, start: int, goal: int) -> list[tuple[int, int]]:
-    """Edges of the cheapest path (Dijkstra), empty when there is none."""
+    """Return the edges of the cheapest path (Dijkstra's algorithm), empty if there is no path."""
     best = np.full(len(cost), np.inf)
     best[start] = 0.0
     before = np.full(len(cost), -1)

@@ -1,4 +1,4 @@
-"""Make one connected sequence of actions of visits: order, ways between, warm-up, references."""
+"""Arrangement of visits into one sequence: order, paths, warm-up and reference visits."""
 
 from __future__ import annotations
 
@@ -14,29 +14,31 @@ from hil.excitation.roadmap import Roadmap
 from hil.excitation.workspace import Workspace
 
 LOOK_AHEAD = 3
-"""How many of the remaining visits are tried in a straight line at once."""
+"""Number of remaining visits whose straight lines are checked in one call."""
 
 PATIENCE = 60
-"""After so many visits without a straight way, one over other poses is taken."""
+"""Number of visits without a clear straight line, after which a path over intermediate poses is
+used.
+"""
 
 MOST_PROBLEMS = 20
-"""Visits that one message lists."""
+"""Maximum number of unreachable visits that one message names."""
 
 REPETITION_PENALTY = 0.2
-"""Share of the joint range by which a warm-up pose is less attractive after each visit to it."""
+"""Penalty for each earlier use of a warm-up pose, as a share of the joint range."""
 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """How visits become a sequence.
+    """Rules by which visits are arranged into a sequence.
 
     Attributes:
-        roadmap: How to get about.
-        reference: The visit that is repeated to see drift; None for none.
-        every: Visits of the program between two visits to the reference.
-        weighing: Visits at which every load is weighed.
-        nearest_first: Whether visits come in the order of their distance from where the arm is,
-            unless the program says an order; else in random order.
+        roadmap: Clear paths between the poses of the visits.
+        reference: Visit that is repeated to detect drift; None for no reference visits.
+        every: Number of program visits between two reference visits.
+        weighing: Visits for the payload check, repeated with every payload.
+        nearest_first: Flag; if true, the visits are sorted by their distance from the current
+            position instead of shuffled, unless the program defines the order.
     """
 
     roadmap: Roadmap
@@ -47,28 +49,28 @@ class Arrangement:
 
     @property
     def workspace(self) -> Workspace:
-        """Where it happens."""
+        """Workspace in which the roadmap was built."""
         return self.roadmap.workspace
 
     def go_home(self, here: FloatArray) -> list[Action]:
-        """The way to the roadmap's home pose from `here` (n,).
+        """Return the clear path from `here` (n,) to the home pose of the roadmap.
 
         Raises:
-            PlanError: There is none.
+            PlanError: There is no clear path to the home pose.
         """
         lines = self.roadmap.way(here, self.roadmap.home)
         if lines is None:
             raise PlanError(
-                f"no clear path leads away from the pose {_degrees(here)}",
-                hint="jog the robot to a pose with more room around it and plan again",
+                f"no collision-free path leads away from the pose {_degrees(here)}",
+                hint="jog the robot to a less obstructed pose and plan again",
             )
         return _moves(lines)
 
     def warm_up(self, here: FloatArray, duration_s: float) -> list[Action]:
-        """Clear motion between roomy poses for at least `duration_s`, moving every joint far.
+        """Return clear motions of every joint over large angles, lasting at least `duration_s`.
 
         Raises:
-            PlanError: There is no room for it.
+            PlanError: No motion of every joint over large angles is clear.
         """
         out: list[Action] = []
         used = np.zeros(len(self.roadmap.poses))
@@ -82,10 +84,10 @@ class Arrangement:
         return out
 
     def measure(self, program: Program, here: FloatArray) -> Iterator[Action]:
-        """The program's visits from the position `here` (n,), the reference among them.
+        """Yield the program's visits and the reference visits, from the position `here` (n,).
 
         Raises:
-            PlanError: A visit cannot be reached.
+            PlanError: One of the visits cannot be reached.
         """
         remaining, spares = _ordered(program), list(program.spares)
         since_reference, last = self.every, ""
@@ -113,10 +115,10 @@ class Arrangement:
             yield from self._see_reference(here)
 
     def tour(self, visits: Sequence[Visit], here: FloatArray) -> list[Action]:
-        """`visits` in the order given, from the position `here` (n,).
+        """Return the paths and visits of `visits` in their order, from the position `here` (n,).
 
         Raises:
-            PlanError: A visit cannot be reached.
+            PlanError: One of `visits` cannot be reached.
         """
         out: list[Action] = []
         last = ""
@@ -132,13 +134,14 @@ class Arrangement:
         """Return the error for visits to which no clear path leads from `here` (n,).
 
         Args:
-            visits: At least one.
-            here: Where the arm is.
-            last: What messages call that pose; empty for none.
+            visits: Unreachable visits, at least one of them.
+            here: (n,) current position of the arm.
+            last: Name of the current position in messages; empty for no name.
         """
         workspace, start = self.workspace, last or f"the pose {_degrees(here)}"
         problems = [
-            f"{visit.label}: no clear path leads there from {start}; on the straight path: "
+            f"{visit.label}: no collision-free path leads there from {start}; on the straight "
+            "path: "
             f"{workspace.obstacle([workspace.line(here, visit.entry)])}"
             for visit in visits[:MOST_PROBLEMS]
         ]
@@ -146,12 +149,11 @@ class Arrangement:
             problems.append(f"… and {len(visits) - MOST_PROBLEMS} more")
         return PlanError(
             "\n".join(problems),
-            hint=f"{workspace.larger_space}drop these poses, or see whether the station's "
-            "surroundings are as described",
+            hint=f"{workspace.larger_space}remove these poses, or check the station's surroundings",
         )
 
     def _next(self, here: FloatArray, visits: Sequence[Visit]) -> tuple[int, list[Line]] | None:
-        """The first visit with a straight clear way, else the first with any way."""
+        """Return the first visit with a clear straight line, or else with any clear path."""
         for i in range(0, min(len(visits), PATIENCE), LOOK_AHEAD):
             some = visits[i : min(i + LOOK_AHEAD, PATIENCE)]
             lines = [self.workspace.line(here, visit.entry) for visit in some]
@@ -169,7 +171,7 @@ class Arrangement:
         return [] if lines is None else _group(lines, self.reference)
 
     def _far_away(self, here: FloatArray, used: FloatArray) -> tuple[Line, int]:
-        """A clear line on which even the least moved joint moves far, and its pose's index."""
+        """Return a clear line on which every joint moves far, and the index of its goal pose."""
         poses = self.roadmap.poses
         share = np.abs(poses - here) / (self.workspace.high - self.workspace.low)
         order = np.argsort(REPETITION_PENALTY * used - share.min(axis=1), kind="stable")
@@ -179,7 +181,7 @@ class Arrangement:
         if found is None:
             why = f"; on the widest line: {self.workspace.obstacle(lines[:1])}" if lines else ""
             raise PlanError(
-                f"there is no room for a warm-up motion{why}",
+                f"no collision-free warm-up motion was found{why}",
                 hint=f"{self.workspace.larger_space}set warm_up.duration_s to 0 or widen "
                 "excitation.range_deg",
             )
@@ -202,11 +204,11 @@ def _ordered(program: Program) -> list[Visit]:
 
 
 def _by_distance(visits: Sequence[Visit], here: FloatArray) -> list[Visit]:
-    """Return the visits sorted by their largest joint distance from `here`."""
+    """Return the visits sorted by the largest joint distance of each visit from `here`."""
     return sorted(visits, key=lambda visit: float(np.abs(visit.entry - here).max()))
 
 
 def _group(lines: Sequence[Line], visit: Visit) -> list[Action]:
-    """The way to a visit and the visit; a run can be resumed where the group begins."""
+    """Return the path to a visit and the visit itself, with a checkpoint for resuming a run."""
     group = [*_moves(lines), *visit.actions]
     return [replace(group[0], checkpoint=True), *group[1:]]

@@ -1,6 +1,7 @@
-"""Where the arm may be and how fast it may go there: limits, distances, and the flange's space.
+"""Workspace of a robot: joint limits, distances between bodies, and the space of the flange.
 
-Well-spread clear poses are scrambled Sobol points of the joint ranges, less the colliding ones.
+Well-spread clear poses are scrambled Sobol points of the joint ranges; colliding points are left
+out.
 """
 
 from __future__ import annotations
@@ -16,35 +17,38 @@ from hil.core import BoolArray, FloatArray, PlanError
 from hil.excitation.motion import Line, Motion
 
 ROWS_AT_ONCE = 16_384
-"""Joint positions per call of the collision model: enough to amortise it, few enough to stay in
-the cache."""
+"""Number of joint positions per call of the collision model: enough to make the overhead of a call
+small, and few enough for the data to fit in the processor cache.
+"""
 
 COARSE = 24
-"""Points of a line looked at before all its samples, to drop hopeless lines early."""
+"""Number of points of a line that are checked before all its samples, because they reject most
+blocked lines early.
+"""
 
 LIMIT_TOLERANCE_RAD = 1e-9
 
 
 class Clearance(Protocol):
-    """What is needed of a collision model (`hil.dynamics.CollisionModel`)."""
+    """Interface of the collision model of a workspace (`hil.dynamics.CollisionModel`)."""
 
     def clearance(self, q: FloatArray) -> FloatArray:
-        """(N,) smallest distance [m] at each of `q` (N, n); negative where bodies overlap."""
+        """Return the smallest distance [m] at each of `q` (N, n); negative if bodies overlap."""
 
     def clearances(self, paths: Sequence[FloatArray], enough: float | None = None) -> FloatArray:
-        """(len(paths),) smallest distance [m] over all samples (N, n) of each path.
+        """Return the smallest distance [m] over all samples (N, n) of each path; (len(paths),).
 
-        With `enough` [m], may stop early: returns any distance below `enough` if one exists.
+        If `enough` [m] is set, the search for the minimum may stop at any distance below `enough`.
         """
 
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
-        """The smallest distance [m] at `q` (n,) and between which two bodies."""
+        """Return the smallest distance [m] at `q` (n,) and the names of the two closest bodies."""
 
 
 def beyond_range(
     q: FloatArray, joint_names: Sequence[str], q_min: FloatArray, q_max: FloatArray
 ) -> str:
-    """Return which joints of the position `q` (n,) are beyond their limits; empty if none is."""
+    """Return a text naming the joints of `q` (n,) beyond their limits; empty if there are none."""
     return "; ".join(
         f"{name} at {np.degrees(angle):.1f}° is beyond its range of "
         f"{np.degrees(low):.1f}° to {np.degrees(high):.1f}°"
@@ -54,31 +58,32 @@ def beyond_range(
 
 
 class Distances(Protocol):
-    """Distances that follow from the joint positions.
+    """Interface for distances that depend only on the joint positions.
 
-    `hil.dynamics.CollisionModel` and `hil.dynamics.FlangeSpace` are such: between bodies, and of
-    the flange to the faces it has to stay inside.
+    The interface has two implementations: `hil.dynamics.CollisionModel` computes distances between
+    bodies, and `hil.dynamics.FlangeSpace` computes distances of the flange to the faces of its
+    space.
     """
 
     @property
     def names(self) -> Sequence[tuple[str, str]]:
-        """(R,) the two things of each distance: two bodies, or a point at the flange and a face."""
+        """Names of the pair of each distance, (R,): two bodies, or a flange point and a face."""
 
     @property
     def reach(self) -> FloatArray:
-        """(R, n) metres that each distance can change per radian of each joint, at most."""
+        """Largest change of each distance per radian of each joint [m/rad], (R, n)."""
 
     def distances(self, q: FloatArray) -> FloatArray:
-        """(R, N) distances [m] at `q` (N, n); negative where bodies overlap, or beyond a face."""
+        """Return the distances [m] at each of `q` (N, n); (R, N), negative for penetration."""
 
 
 def outside(space: Distances, q: FloatArray, required_m: float) -> str:
-    """Return which face of a space is nearest to the flange at `q` (n,), if nearer than required.
+    """Return a text about the face nearest to the flange; empty if the distance is large enough.
 
     Args:
-        space: Where the flange has to stay.
+        space: Distances of the flange to the faces of its space.
         q: (n,) joint position [rad].
-        required_m: Distance that is kept to every face.
+        required_m: Required distance to every face [m].
     """
     distances = space.distances(q[None])[:, 0]
     nearest = int(distances.argmin())
@@ -92,37 +97,42 @@ def outside(space: Distances, q: FloatArray, required_m: float) -> str:
 
 
 def ways_out(space: Distances | None, q: FloatArray, required_m: float) -> list[str]:
-    """Return what helps where poses `q` (N, n) are too near to faces, beside other poses.
+    """Return hints for poses that are too close to faces, except the hint to choose other poses.
 
     Args:
-        space: Where the flange has to stay; None if it may go anywhere.
+        space: Distances of the flange to the faces of its space; None if the flange is not
+            confined.
         q: (N, n) joint positions [rad].
-        required_m: Distance that is kept to every face.
+        required_m: Required distance to every face [m].
     """
     if space is None or not len(q):
         return []
     depth = space.distances(q).min(axis=0)
     near = depth < required_m
     ways = ["move that side of the workspace interlock outwards"] if near.any() else []
-    # Below 0 no smaller distance helps.
+    # A smaller required distance does not help a flange outside its space (depth < 0).
     return ways + (["lower the station's clearance_m"] if (near & (depth > 0)).any() else [])
 
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """A robot in its surroundings, as excitation and plan see it.
+    """Robot and its surroundings, as used for excitation and planning.
 
     Attributes:
-        joint_names: Length n.
-        q_min, q_max: The robot's position limits [rad], (n,).
-        low, high: Range that excitation draws from [rad], (n,), inside the limits.
-        collision: Distances of the arm with the largest payload of the experiment.
-        clearance_m: Distance that is kept to everything, and by the flange to the faces of `space`.
+        joint_names: Names of the n joints.
+        q_min, q_max: Position limits of the robot [rad], (n,).
+        low, high: Position range of the excitation [rad], (n,), within the position limits.
+        collision: Distances between the bodies for the arm with the largest payload of the
+            experiment.
+        clearance_m: Required distance [m] between bodies, and between the flange and the faces of
+            `space`.
         velocity, acceleration, jerk: Limits for every joint [rad/s, rad/s², rad/s³].
-        rate_hz: Command rate; motions are checked at each of its samples.
-        condition: Condition number of the base regressor at q, qd, qdd, each (N, n); lets an
-            excitation choose between draws. None if it is not known.
-        space: What the flange must not leave; None if it may go anywhere.
+        rate_hz: Command rate [Hz]; motions are checked at every sample of this rate.
+        condition: Function that returns the condition number of the base regressor at q, qd, qdd,
+            each (N, n); an excitation uses it to choose between draws. The value of `condition` is
+            None if no condition number is available.
+        space: Distances of the flange to the faces of its space; None if the flange is not
+            confined.
     """
 
     joint_names: tuple[str, ...]
@@ -143,26 +153,27 @@ class Workspace:
     _known_clear: dict[Motion, float] = field(default_factory=dict, init=False, repr=False)
 
     def line(self, start: FloatArray, goal: FloatArray) -> Line:
-        """The straight way from `start` to `goal`, each (n,)."""
+        """Return the straight line in joint space from `start` to `goal`, each (n,)."""
         ends = (tuple(map(float, start)), tuple(map(float, goal)))
         return Line(*ends, self.velocity, self.acceleration, self.jerk, self.rate_hz)
 
     def within_limits(self, q: FloatArray) -> BoolArray:
-        """(N,) whether each of `q` (N, n) respects the robot's position limits."""
+        """Return whether each of `q` (N, n) is within the position limits of the robot, (N,)."""
         inside = (q >= self.q_min - LIMIT_TOLERANCE_RAD) & (q <= self.q_max + LIMIT_TOLERANCE_RAD)
         return np.asarray(inside.all(axis=1))
 
     def is_clear(self, q: FloatArray) -> BoolArray:
-        """(N,) whether each of `q` (N, n) is within limits and keeps its distance."""
+        """Return whether each of `q` (N, n) is within limits and clear of bodies and faces."""
         clear = self.within_limits(q)
         clear[clear] = self.depth(q[clear]) >= self.clearance_m
         clear[clear] = self.clearance(q[clear]) >= self.clearance_m
         return clear
 
     def depth(self, q: FloatArray) -> FloatArray:
-        """Return how far [m] the flange is inside its space at each of `q` (N, n); (N,).
+        """Return the distance [m] of the flange to the nearest face of its space; (N,).
 
-        Negative outside, infinite without a space.
+        The distance of the flange is negative outside the space, and infinite if there is no space.
+        `q` is (N, n).
         """
         if self.space is None:
             return np.full(len(q), np.inf)
@@ -173,7 +184,7 @@ class Workspace:
         return np.minimum(self.clearance(q), self.depth(q))
 
     def clearance(self, q: FloatArray) -> FloatArray:
-        """(N,) smallest distance [m] at each of `q` (N, n), computed in blocks."""
+        """Return the smallest distance [m] at each of `q` (N, n), computed in blocks; (N,)."""
         blocks = [
             self.collision.clearance(q[i : i + ROWS_AT_ONCE])
             for i in range(0, len(q), ROWS_AT_ONCE)
@@ -181,17 +192,17 @@ class Workspace:
         return np.concatenate(blocks) if blocks else np.empty(0)
 
     def clearances(self, motions: Sequence[Motion]) -> FloatArray:
-        """(len(motions),) smallest distance [m] over every sample of each motion.
+        """Return the smallest distance between bodies [m] over all samples of each motion.
 
-        Every motion is computed once; asking again costs nothing.
+        The smallest distance of each motion is cached.
         """
         return self._least(motions, self.collision.clearances, self._known)
 
     def keep_clear(self, motions: Sequence[Motion]) -> BoolArray:
         """Return whether each motion keeps clear of bodies at every sample; (len(motions),).
 
-        The faces of `space` do not count, see `depths`. Takes less than `clearances`, and asking
-        again costs nothing here either.
+        The faces of `space` are not checked here, see `depths`. The check is faster than
+        `clearances`, and the check results are cached, too.
         """
         kept = self.clearance_m
         least = self._least(
@@ -200,13 +211,13 @@ class Workspace:
         return np.asarray(least >= kept)
 
     def depths(self, motions: Sequence[Motion]) -> FloatArray:
-        """Return the smallest `depth` over every sample of each motion; (len(motions),) [m]."""
+        """Return the smallest `depth` over all samples of each motion; (len(motions),) [m]."""
         if self.space is None:
             return np.full(len(motions), np.inf)
         return self._least(motions, self._depths, self._known_depth)
 
     def are_clear(self, motions: Sequence[Motion]) -> bool:
-        """Whether motions keep their distance at every sample and have their ends within limits."""
+        """Return whether motions keep the required distance and end within the joint limits."""
         ends = np.array([end for motion in motions for end in (motion.q_start, motion.q_end)])
         return bool(
             self.within_limits(ends).all()
@@ -215,9 +226,10 @@ class Workspace:
         )
 
     def look_clear(self, starts: FloatArray, goals: FloatArray) -> BoolArray:
-        """(N,) whether the straight lines from `starts` to `goals`, each (N, n), may be clear.
+        """Return for each line from `starts` to `goals`, each (N, n), whether it looks clear; (N,).
 
-        Only `COARSE` points of each are looked at: a no is final, a yes is not.
+        Only `COARSE` points of each line are checked: the value False is certain, whereas True is
+        not.
         """
         share = np.linspace(0.0, 1.0, COARSE)[:, None]
         points = starts[:, None] + share * (goals - starts)[:, None]
@@ -225,7 +237,7 @@ class Workspace:
         return np.asarray(clear.reshape(-1, COARSE).all(axis=1))
 
     def first_clear(self, lines: Sequence[Line]) -> int | None:
-        """Index of the first line that is clear at every sample, or None."""
+        """Return the index of the first line that is clear at every sample, or else None."""
         if not lines:
             return None
         starts = np.array([motion.start for motion in lines])
@@ -236,17 +248,18 @@ class Workspace:
         return None
 
     def complaint(self, q: FloatArray) -> str:
-        """What is wrong with the position `q` (n,), or an empty string."""
+        """Return a text with the problems of the position `q` (n,); empty without problems."""
         if beyond := beyond_range(q, self.joint_names, self.q_min, self.q_max):
             return beyond
         beyond_face = outside(self.space, q, self.clearance_m) if self.space else ""
         return "; ".join(filter(None, (beyond_face, self._too_close(q))))
 
     def obstacle(self, motions: Sequence[Motion]) -> str:
-        """Describe what is wrong at the sample with the least room.
+        """Return a text about the sample closest to an obstacle or beyond the position limits.
 
-        If that room is enough, describe the sample furthest beyond the position limits; empty if
-        all are within them. There must be at least one motion.
+        If the smallest distance is large enough, the text describes the sample furthest beyond the
+        position limits. The text is empty if the distance is large enough and all samples are
+        within the limits. The argument must contain at least one motion.
         """
         q = np.concatenate([motion.sample(self.rate_hz).q for motion in motions])
         if complaint := self.complaint(q[int(self.room(q).argmin())]):
@@ -256,13 +269,13 @@ class Workspace:
 
     @property
     def larger_space(self) -> str:
-        """Return how hints begin where the flange is confined; empty where it is not."""
+        """First words of a hint to enlarge the space of the flange; empty if there is none."""
         if self.space is None:
             return ""
         return "move that side of the workspace interlock outwards, or "
 
     def _too_close(self, q: FloatArray) -> str:
-        """Return which bodies are too close to each other at `q` (n,)."""
+        """Return a text about the closest bodies at `q` (n,); empty if they are far enough."""
         distance, bodies = self.collision.closest(q)
         if distance >= self.clearance_m:
             return ""
@@ -279,7 +292,7 @@ class Workspace:
         measure: Callable[[list[FloatArray]], FloatArray],
         known: dict[Motion, float],
     ) -> FloatArray:
-        """Return `measure` of the samples of each motion, from `known` where it is there."""
+        """Return the minimum of `measure` over each motion; the minima are cached in `known`."""
         new = list(dict.fromkeys(motion for motion in motions if motion not in known))
         for some in _in_blocks(new, self.rate_hz):
             least = measure([motion.sample(self.rate_hz).q for motion in some])
@@ -293,7 +306,7 @@ class Workspace:
 
 
 def _in_blocks(motions: Sequence[Motion], rate_hz: float) -> Iterator[list[Motion]]:
-    """Lists of motions with about `ROWS_AT_ONCE` samples together."""
+    """Yield lists of motions with about `ROWS_AT_ONCE` samples per list."""
     block: list[Motion] = []
     rows = 0.0
     for motion in motions:
@@ -309,33 +322,38 @@ def _in_blocks(motions: Sequence[Motion], rate_hz: float) -> Iterator[list[Motio
 BLOCK = 1024
 
 HARDLY_ANY = 0.002
-"""Share of clear poses below which there is no use in drawing on."""
+"""Share of clear poses below which the drawing of poses is given up."""
 
 HARDLY_ANY_INSIDE = 0.0003
-"""The same where the flange is confined: most poses are then dropped by their flange alone, which
-costs little, and a box of 0.3 m holds one in a thousand poses of a UR5."""
+"""Share of clear poses below which the drawing of poses is given up if the flange is confined. The
+limit for a confined flange is lower, because most poses are rejected by the position of the flange
+alone, which is a fast check: only one in a thousand poses of a UR5 is inside a box of 0.3 m.
+"""
 
 FEWEST_INSIDE = 64
-"""Poses of a block where the flange is confined: fewer are not worth a look at their ways."""
+"""Minimum number of poses per block if the flange is confined; a search for paths is not worthwhile
+for smaller blocks.
+"""
 
 ENOUGH = 8
-"""The share is judged once so many poses were drawn that the minimum share would give this many
-clear ones."""
+"""Expected number of clear poses at the minimum share, from which on the actual share of clear
+poses is checked.
+"""
 
 
 def draw_poses(workspace: Workspace, seed: int, part: str = "poses") -> Iterator[FloatArray]:
-    """Blocks (m, n) of clear poses within the workspace's range, well spread, without end.
+    """Yield blocks (m, n) of clear, well-spread poses within the range, without end.
 
-    Sobol points fill the range evenly for any number of them (Sobol 1967, scrambled after Owen),
-    so does what is left of them fill the clear part of the range.
+    Any number of Sobol points fills the joint range evenly (Sobol 1967, scrambled after Owen). The
+    clear points among the Sobol points fill the clear part of the range evenly, too.
 
     Args:
-        workspace: Where they must be clear.
-        seed: Of the scrambling.
-        part: What messages call them, e.g. `dwell poses`.
+        workspace: Workspace in which the poses must be clear.
+        seed: Seed of the scrambling of the Sobol points.
+        part: Name of the poses in error messages, such as `dwell poses`.
 
     Raises:
-        PlanError: Hardly any pose is clear.
+        PlanError: The share of clear poses is too small.
     """
     from scipy.stats import qmc
 
@@ -357,15 +375,14 @@ def draw_poses(workspace: Workspace, seed: int, part: str = "poses") -> Iterator
 
 
 def _too_few(workspace: Workspace, q: FloatArray, few: str) -> PlanError:
-    """Return the error for the poses `few`, of which `q` (N, n) are the last that were drawn."""
-    around = f"keep {1e3 * workspace.clearance_m:.0f} mm from everything around and the arm itself"
+    """Return the error for too few poses; `q` (N, n) are the poses drawn last."""
+    around = f"keep {1e3 * workspace.clearance_m:.0f} mm from the surroundings and the arm itself"
     free = q[workspace.clearance(q) >= workspace.clearance_m]
     depth = workspace.depth(free)
     if workspace.space is None or not len(free) or np.all(depth >= workspace.clearance_m):
         return PlanError(
             f"{few} {around}",
-            hint="widen excitation.range_deg, or see whether the station's surroundings are "
-            "as described",
+            hint="widen excitation.range_deg, or check the station's surroundings",
         )
     nearest = workspace.complaint(free[int(depth.argmax())])
     return PlanError(
@@ -375,7 +392,7 @@ def _too_few(workspace: Workspace, q: FloatArray, few: str) -> PlanError:
 
 
 def roomy_poses(workspace: Workspace, count: int, seed: int) -> FloatArray:
-    """(count, n) well-spread poses from the roomier half of the clear ones."""
+    """Return well-spread clear poses (count, n) with at least the median distance to obstacles."""
     blocks: list[FloatArray] = []
     for block in draw_poses(workspace, seed, "poses to travel over"):
         blocks.append(block)

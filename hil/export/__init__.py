@@ -1,4 +1,4 @@
-"""Fitted models for other programs: C for controllers, ONNX, parameters as JSON."""
+"""Export of fitted models for other programs: C for controllers, ONNX, PyTorch, URDF and JSON."""
 
 import lazy_loader
 

@@ -1,8 +1,9 @@
-"""Golden vectors, and how closely a program has to agree with them.
+"""Golden vectors, and the tolerances within which an exported program must reproduce the vectors.
 
-A `Golden` is a motion and what the model in Python says of it, sample by sample, without and with a
-load. C compares itself in its self-test (`closeness`); programs for other runtimes are streamed
-here, sample by sample with their state fed back (`require_agreement`).
+A `Golden` contains a motion and the predictions of the Python model for that motion, sample by
+sample, without and with a load. An exported C program compares itself with golden vectors in its
+self-test (`closeness`). This module runs programs for other runtimes, sample by sample with their
+state fed back (`require_agreement`).
 """
 
 from __future__ import annotations
@@ -23,30 +24,31 @@ RATE_HZ = 250.0
 SAMPLES = 300
 
 REACH_RAD = 2.0
-"""Of joints without limits."""
+"""Range [rad] of the golden motion for joints without limits."""
 
 LOAD = Payload(mass=1.5, com=(0.02, -0.03, 0.06), inertia=(0.004, 0.005, 0.003, 1e-4, -2e-4, 3e-4))
-"""Mounted for the second half: a program that places its load wrongly is found out."""
+"""Payload for the second half of the golden vectors, which reveals errors of payload placement."""
 
 AGREES = 1e-4
-"""Largest difference of a program, as a share of each joint's largest effort."""
+"""Largest permitted difference of a program's effort, as a share of each joint's largest effort."""
 
 JITTER, SLOW = 2e-4, 0.1
-"""Of an encoder [rad or m], to and fro where joints are slower than this share of their fastest.
+"""Encoder jitter [rad or m], and share of a joint's top speed below which the jitter is added.
 
-There positions go against velocities, which memory has to be told from a way.
+The jitter moves positions against the velocity; friction with memory must ignore such movements.
 """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Golden:
-    """What a program is checked with.
+    """Golden vectors with which an exported program is checked.
 
     Attributes:
-        q, qd, qdd: (N, n).
+        q, qd, qdd: (N, n) motion.
         bare: (N, n) efforts without a load.
-        loaded: (N, n) with `LOAD`, from the start again.
-        residuals: (2, N, n) what of both a residual network adds; None where there is none.
+        loaded: (N, n) efforts with the payload `LOAD`, computed anew from the initial state.
+        residuals: (2, N, n) contribution of a residual network to `bare` and to `loaded`; None
+            without a residual network.
     """
 
     q: FloatArray
@@ -58,7 +60,7 @@ class Golden:
 
 
 def golden_of(model: RobotEstimator, samples: int = SAMPLES) -> Golden:
-    """Vectors of a fitted model, by its own stream."""
+    """Return the golden vectors of a fitted model, computed by the stream of the model."""
     q, qd, qdd = motion(model.robot_, samples, RATE_HZ)
     q = jittered(q, qd)
     bare, loaded = (_streamed(model, q, qd, qdd, load) for load in (Payload(), LOAD))
@@ -77,19 +79,19 @@ def _streamed(
 
 
 def jittered(q: FloatArray, qd: FloatArray) -> FloatArray:
-    """Q (N, n) as an encoder reads it around reversals and at rest: one step to and fro."""
+    """Return q (N, n) with encoder jitter, one step to and fro, around reversals and standstill."""
     way = JITTER * (-1.0) ** np.arange(len(q))[:, None]
     slow = np.abs(qd) < SLOW * np.abs(qd).max(axis=0)
     return np.asarray(q + way * slow)
 
 
 def motion(robot: RobotModel, samples: int, rate_hz: float) -> tuple[FloatArray, ...]:
-    """q, qd, qdd (N, n): waves within the limits with reversals, and every joint at rest a while.
+    """Return q, qd, qdd (N, n): sine waves within the limits, with a static interval per joint.
 
     Args:
-        robot: Says how many joints there are and how far they go.
-        samples: N.
-        rate_hz: Of the samples.
+        robot: Robot model, which defines the joints and their limits.
+        samples: Number of samples N.
+        rate_hz: Sample rate [Hz].
     """
     t = np.arange(samples) / rate_hz
     low = np.where(np.isfinite(robot.q_min), robot.q_min, -REACH_RAD)
@@ -108,22 +110,25 @@ def motion(robot: RobotModel, samples: int, rate_hz: float) -> tuple[FloatArray,
 
 
 DOUBLE, SINGLE = 1e-9, 1e-5
-"""Largest difference as a share of each joint's largest effort."""
+"""Largest permitted difference in double and in single precision, as a share of the effort.
+
+The reference for the share is the largest effort of each joint.
+"""
 
 NETWORK = 1e-5
-"""Of a residual network, as a share of the largest that it adds to the joint."""
+"""Largest difference of a residual network, as a share of a joint's largest correction."""
 
 UNHEARD = 1e-4
-"""A residual that never comes up to this share of the effort counts as having it."""
+"""Minimum of the reference for `NETWORK`, as a share of a joint's largest effort."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Closeness:
-    """What differences are judged by.
+    """Tolerances for the differences between a program and the Python model.
 
     Attributes:
-        effort: (n,) most that efforts without the residual may differ.
-        residual: (n,) most that the residual may.
+        effort: (n,) largest permitted difference of the efforts without the residual network.
+        residual: (n,) largest permitted difference of the outputs of the residual network.
         largest: (n,) largest effort.
     """
 
@@ -133,7 +138,7 @@ class Closeness:
 
 
 def closeness(program: Program, golden: Golden) -> Closeness:
-    """Of a program that is to say what `golden` says, in effort units."""
+    """Return the tolerances in effort units for a program that should reproduce `golden`."""
     largest = scale_of(golden.bare, golden.loaded)
     own = UNHEARD * largest
     if golden.residuals is not None:
@@ -142,7 +147,7 @@ def closeness(program: Program, golden: Golden) -> Closeness:
 
 
 def precision(program: Program) -> float:
-    """`DOUBLE`, or `SINGLE` where a network stands for the rigid body or for friction."""
+    """Return `DOUBLE`, or `SINGLE` if a single-precision network yields dynamics or friction."""
     kinds = [] if program.lagrangian is None else [program.lagrangian.kind]
     if isinstance(program.friction, NetworkFriction):
         kinds.append(program.friction.kind)
@@ -150,36 +155,42 @@ def precision(program: Program) -> float:
 
 
 FAINT, NOTHING = 1e-4, 1e-9
-"""A joint's largest effort counts as this share of all joints' largest, and as this, at least."""
+"""Minimum of a joint's reference effort, as a share of the largest joint's effort and absolute."""
 
-FAULT = "this is a fault of hil's export: please report it with the model's folder"
+FAULT = "this is a fault of hil's export: please report it with the model folder"
 
 Step = Callable[[Sequence[FloatArray]], Sequence[FloatArray]]
-"""q, qd, qdd (1, n), load (1, 10)[, state (1, S)] → effort (1, n)[, state (1, S)]."""
+"""Program as a function of q, qd, qdd (1, n), load (1, 10)[, state (1, S)].
+
+The program returns effort (1, n)[, state (1, S)].
+"""
 
 
 def load_row(load: Payload) -> FloatArray:
-    """(1, 10) of what is mounted: mass, centre of mass, inertia about it."""
+    """Return a payload as (1, 10): mass, centre of mass, inertia about the centre of mass."""
     return np.array([[load.mass, *load.com, *load.inertia]])
 
 
 def scale_of(*wanted: FloatArray) -> FloatArray:
-    """(n,) what differences are shares of: each joint's largest value, over all arrays (N, n).
+    """Return the reference (n,) for relative differences: the largest value of each joint.
 
-    A joint that has next to none, such as the last one of a level arm, counts as having a little:
-    what is left there is rounding of the others.
+    The largest value is taken over all passed arrays (N, n). The reference has a minimum for joints
+    with almost no effort, such as the last joint of a level arm, because the efforts of such joints
+    are only rounding errors of other joints.
     """
     largest: FloatArray = np.max([np.abs(one).max(axis=0) for one in wanted], axis=0)
     return np.maximum(largest, max(NOTHING, FAINT * float(largest.max())))
 
 
 def largest_difference(step: Step, golden: Golden, state_size: int) -> float:
-    """Over all samples, as a share of each joint's `scale_of`; NaN counts as endless.
+    """Return the largest effort difference over all samples, as a share of each joint's `scale_of`.
+
+    A NaN among the efforts counts as an infinite difference.
 
     Args:
-        step: What is looked at; its state is fed back.
-        golden: What the model says.
-        state_size: S; 0 without memory.
+        step: Program to be checked, whose state is fed back.
+        golden: Golden vectors of the model.
+        state_size: Size S of the state; 0 for a program without memory.
     """
     worst, scale = 0.0, scale_of(golden.bare, golden.loaded)
     for load, wanted in ((Payload(), golden.bare), (LOAD, golden.loaded)):
@@ -190,7 +201,10 @@ def largest_difference(step: Step, golden: Golden, state_size: int) -> float:
 
 
 def streamed(step: Step, golden: Golden, load: FloatArray, state_size: int) -> FloatArray:
-    """(N, n) efforts of a golden motion from the start of the state, with a load (1, 10)."""
+    """Return the efforts (N, n) of a program for a golden motion and a load (1, 10).
+
+    The state of the program is zero at the start.
+    """
     state = [np.zeros((1, state_size))] if state_size else []
     found = []
     for sample in zip(golden.q, golden.qd, golden.qdd, strict=True):
@@ -200,21 +214,22 @@ def streamed(step: Step, golden: Golden, load: FloatArray, state_size: int) -> F
 
 
 def require_agreement(step: Step, golden: Golden, state_size: int, what: str) -> str:
-    """How well they agree, in words.
+    """Return a description of the agreement of a program with the model; raise if they disagree.
 
     Args:
-        step: See `largest_difference`.
-        golden: There, too.
-        state_size: And there.
-        what: Is told of, such as `the ONNX graph`.
+        step: Program to be checked, as in `largest_difference`.
+        golden: Golden vectors of the model.
+        state_size: Size S of the state; 0 for a program without memory.
+        what: Name of the program for the error message, such as `the ONNX graph`.
 
     Raises:
-        FitError: They do not.
+        FitError: The largest difference between program and model exceeds `AGREES`.
     """
     worst = largest_difference(step, golden, state_size)
     if not worst <= AGREES:
         raise FitError(
-            f"{what} does not agree with the model: off by {worst:.1e} of the largest effort",
+            f"{what} does not agree with the model: largest difference {worst:.1e} of the "
+            "largest effort",
             hint=FAULT,
         )
     return (

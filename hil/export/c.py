@@ -1,17 +1,19 @@
-"""A fitted model as a folder of C99: header, source, self-test and CMake file.
+"""Export of a fitted model as a folder of C99: header, source, self-test and CMake file.
 
-The C itself is in `hil/export/templates`, one template for each part of a program: the rigid body,
-a Lagrangian network, one of the four kinds of friction, a residual network. A part's template sets
-up to four texts: its `constants`, its members of the `state` structure, its `functions`, and how it
-is `reset` (see `Piece`). This module prepares what goes into them, which is numbers, sizes and
-expressions, and `model.c.j2` puts the pieces behind each other.
+The C code of a program is in `hil/export/templates`, with one template for each part: the rigid
+body, a Lagrangian network, one of the four kinds of friction, a residual network. The template of a
+part sets up to four texts: its `constants`, its members of the `state` structure, its `functions`,
+and its `reset` statements (see `Piece`). This module computes the numbers, sizes and expressions
+for the templates. The template `model.c.j2` concatenates the parts.
 
-In the templates symbols begin with `hil_`; another prefix takes its place at the end. Numbers are
-written so that they are read back to the same bits (`literal`, `array_literal`).
+All symbols in the templates begin with `hil_`; at the end, this beginning is replaced by the
+requested prefix. Each number is written so that a compiler reads exactly the same bits (`literal`,
+`array_literal`).
 
-Nothing is allocated, nothing is global but constants, and no input makes a program divide by zero,
-take a logarithm of 0 or leave its arrays: it may run in a PREEMPT_RT task, in a TwinCAT C++ module
-or on a microcontroller with a double-precision library.
+An exported program allocates no memory and has no global variables except constants. No input makes
+an exported program divide by zero, compute the logarithm of 0 or exceed its arrays. An exported
+program can therefore run in a PREEMPT_RT task, in a TwinCAT C++ module or on a microcontroller with
+a double-precision library.
 """
 
 from __future__ import annotations
@@ -65,7 +67,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 PARTS = ("gravity", "inertia", "load", "friction", "ripple", "drive", "residual")
-"""Components of the effort in the order of `hil_parts`; they sum to the effort."""
+"""Components of the effort in the order of `hil_parts`; the sum of the components is the effort."""
 
 PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}\Z")
 
@@ -90,19 +92,19 @@ RESERVED = frozenset((HEADERS + TARGETS + WORDS).split())
 def export_c(
     model: RobotEstimator, out: Path, *, prefix: str = "hil", unchecked: bool = False
 ) -> Exported:
-    """Write a model as C, after its self-test has passed in a folder of its own.
+    """Write a model as C files, after their self-test has passed in a temporary folder.
 
     Args:
-        model: Fitted.
-        out: Folder to be made.
+        model: Fitted model.
+        out: Folder that is created.
         prefix: Prefix of all file names and symbols.
-        unchecked: Write it although there is no compiler to check it with.
+        unchecked: Whether the program is written without compiling and testing it.
 
     Raises:
-        FitError: The model is of a kind that is not exported, or the program does not agree.
+        FitError: The estimator cannot be exported, or the program does not agree with the model.
         PluginError: There is no C compiler.
-        RecordingError: The folder exists already, or cannot be made.
-        SpecError: The prefix cannot be one.
+        RecordingError: The folder already exists, or cannot be created.
+        SpecError: The prefix is invalid.
     """
     require_new(out)
     if not unchecked:
@@ -124,7 +126,7 @@ def export_c(
 
 
 def _self_test_result(written: Mapping[str, str], prefix: str) -> tuple[str, tuple[str, ...]]:
-    """Return the result of the self-test and the note about stack and state size."""
+    """Return the result of the self-test and a note about the sizes of stack and state."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for file, text in written.items():
@@ -135,7 +137,10 @@ def _self_test_result(written: Mapping[str, str], prefix: str) -> tuple[str, tup
 
 
 def _self_test(prefix: str, program: Program, golden: Golden) -> str:
-    """`PREFIX_test.c`: exits with 0 if the program agrees with the model, and says by how much."""
+    """Return the text of `PREFIX_test.c`, which reports the largest difference from the model.
+
+    The self-test exits with 0 if the program agrees with the model.
+    """
     expected = np.stack([golden.bare, golden.loaded])
     limits = closeness(program, golden)
     arrays = {
@@ -161,12 +166,12 @@ def _self_test(prefix: str, program: Program, golden: Golden) -> str:
 
 @dataclass(frozen=True, slots=True)
 class CSource:
-    """Text of both files.
+    """Texts of the header and of the source file.
 
     Attributes:
-        prefix: What all symbols begin with.
-        header: `PREFIX.h`.
-        source: `PREFIX.c`.
+        prefix: Prefix of all symbols.
+        header: Text of `PREFIX.h`.
+        source: Text of `PREFIX.c`.
     """
 
     prefix: str
@@ -175,25 +180,26 @@ class CSource:
 
 
 def c_source(program: Program, prefix: str = "hil", model_title: str = "") -> CSource:
-    """Header and source.
+    """Return the header and the source of a program.
 
     Args:
-        program: What to compute.
-        prefix: What all symbols begin with; also the name of the files.
-        model_title: For the head of both files: which model this is.
+        program: Program to be written.
+        prefix: Prefix of all symbols and name of the files.
+        model_title: Name of the model, which is written at the top of both files.
 
     Raises:
-        SpecError: The prefix cannot be one.
+        SpecError: The prefix is invalid.
     """
     if not PREFIX.match(prefix):
         raise SpecError(
-            f"the prefix {prefix!r} cannot begin the names of C functions",
-            hint="use small letters, digits and _, a letter first, at most 31 of them",
+            f"the prefix {prefix!r} cannot be the prefix of C function names",
+            hint="use lower-case letters, digits and _, beginning with a letter, at most 31 "
+            "characters",
         )
     if prefix in RESERVED:
         raise SpecError(
-            f"the prefix {prefix!r} is a name that C or CMake has for something else",
-            hint="take another, such as arm",
+            f"the prefix {prefix!r} is reserved by C or CMake",
+            hint="use a different prefix, such as arm",
         )
     correction = program.correction
     network = Piece() if correction is None else network_piece(correction, program.n)
@@ -227,18 +233,18 @@ def c_source(program: Program, prefix: str = "hil", model_title: str = "") -> CS
 
 
 def _with_prefix(text: str, prefix: str) -> str:
-    """Symbols with another prefix; the header's name in `#include` has it already."""
+    """Replace the prefix of all symbols, but not of the header name in `#include`."""
     text = re.sub(r'(?<!")\bhil_', f"{prefix}_", text)
     return re.sub(r"\bHIL_", f"{prefix.upper()}_", text)
 
 
 def _units(program: Program) -> str:
-    """Return the sentence about units, per joint where some are prismatic."""
+    """Return a sentence about the units, with one unit per joint if some joints are prismatic."""
     torques = program.effort_kind != "current"
     turns = [bool(one) for one in program.geometry.turns]
-    # A motor's position has the unit of what it moves.
+    # The position of a motor has the unit of the joint that it moves.
     of_motors = program.coupling is not None
-    start = "All arrays are of motors behind their gears. " if of_motors else ""
+    start = "All arrays are per motor, on the output side of the gears. " if of_motors else ""
     if all(turns):
         return f"{start}Angles in rad, efforts in {'N*m' if torques else 'A'}."
     each = ", ".join("m" if not one else "rad" for one in turns)
@@ -248,13 +254,13 @@ def _units(program: Program) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A part of the program: what its template sets.
+    """Texts that the template of one part of the program sets.
 
     Attributes:
-        constants: `static const` arrays.
-        state: Members of the state structure, what is remembered from sample to sample.
-        functions: `static` functions, those they call first.
-        reset: Statements that set the members of `s`, a pointer to the state, to the start.
+        constants: Definitions of `static const` arrays.
+        state: Members of the state structure, whose values are retained between samples.
+        functions: Definitions of `static` functions, each after the functions that it calls.
+        reset: Statements that reset the members of the state, to which `s` points.
     """
 
     constants: str = ""
@@ -269,7 +275,7 @@ def _piece(template: str, **values: Any) -> Piece:
 
 
 def _rigid_piece(program: Program) -> Piece:
-    """`hil_move`, `hil_collect` and `hil_mount`."""
+    """Return the part of the program with `hil_move`, `hil_collect` and `hil_mount`."""
     return _piece(
         "rigid.c.j2",
         turn=program.geometry.placement[:, :3, :3],
@@ -285,12 +291,15 @@ def _rigid_piece(program: Program) -> Piece:
 
 
 def _has_gear_inertia(program: Program) -> bool:
-    """Whether gear torque and rigid-body torque have different parameters."""
+    """Return whether gear torque and rigid-body torque have different parameters."""
     return not np.array_equal(program.gears, program.rigid)
 
 
 def _friction_piece(program: Program) -> Piece:
-    """`hil_friction(s, q, qd, tau, friction, ripple, drive)` in N·m, and the states it carries."""
+    """Return the part with `hil_friction`, which computes friction [N·m] and updates its states.
+
+    The C signature is `hil_friction(s, q, qd, tau, friction, ripple, drive)`.
+    """
     friction = program.friction
     if isinstance(friction, PlainFriction):
         return _plain_piece(friction)
@@ -326,8 +335,10 @@ def _shaped_piece(law: ShapedFriction) -> Piece:
 
 
 MULTIPLE_AS_SUM = {2: (1, 1), 4: (2, 2), 8: (4, 4), 10: (8, 2), 12: (8, 4)}
-"""Multiple k → (a, b) with k = a + b: sin and cos of kφ by the addition theorem, from one sine and
-cosine."""
+"""Multiple k → (a, b) with k = a + b.
+
+The addition theorem gives sin kφ and cos kφ of all multiples k from a single sine and cosine.
+"""
 
 
 def _library_piece(law: FrictionLaw) -> Piece:
@@ -349,7 +360,7 @@ def _library_piece(law: FrictionLaw) -> Piece:
 def _library_joint(
     law: FrictionLaw, j: int, terms: Mapping[str, FloatArray], first: int
 ) -> dict[str, Any]:
-    """What the template needs of a joint whose first state is the program's `first`."""
+    """Return the template values of joint j, whose first state has the number `first`."""
     terms_by_part: dict[str, list[str]] = {part: [] for part in ("friction", "ripple", "drive")}
     for name, weights in terms.items():
         part = terms_by_part[FRICTION_PARTS.get(name.split()[0], "friction")]
@@ -380,7 +391,7 @@ def _library_joint(
 def _waves(
     turns: float, j: int, used: set[str]
 ) -> list[tuple[str, str, list[tuple[int, int, int]]]]:
-    """Of the motor (``) and of the joint (`j`): the angle, and multiples k of it as sums a + b."""
+    """Return the angle and its multiples k = a + b, for the motor (``) and for the joint (`j`)."""
     found = []
     for of, angle in (("", f"{literal(turns)} * q[{j}]"), ("j", f"q[{j}]")):
         if orders := {k for k in (*ORDERS, 1) if {f"{of}sin{k}", f"{of}cos{k}"} & used}:
@@ -390,18 +401,18 @@ def _waves(
 
 
 def _needed(orders: Iterable[int]) -> set[int]:
-    """Multiples of an angle, and those they are sums of."""
+    """Return multiples of an angle, together with the multiples from which they are computed."""
     found = set(orders)
     return found.union(*(_needed(MULTIPLE_AS_SUM[k]) for k in found if k in MULTIPLE_AS_SUM))
 
 
 def _depends_on_temperature(law: object) -> bool:
-    """Whether friction depends on how warm joints are."""
+    """Return whether friction depends on the joint temperature."""
     return isinstance(law, FrictionLaw) and any("temperature" in terms for terms in terms_of(law))
 
 
 ACTIVATIONS = {"softplus": "softplus", "relu": "relu", "tanh": "curve", "silu": "silu"}
-"""Activation → what its function is called in C, where `tanh` is taken."""
+"""Mapping from activation to the name of its C function; the name `tanh` is already taken in C."""
 
 CALLEES: dict[str, tuple[str, ...]] = {
     "softplus": ("log1p", "within", "decay"),
@@ -411,13 +422,17 @@ CALLEES: dict[str, tuple[str, ...]] = {
     "curve": ("within", "decay"),
     "curve_slope": ("curve",),
 }
-"""Function → those it calls, or whose result it takes: unused static functions cause warnings."""
+"""Mapping from a C function to the functions that it calls or whose result it needs.
+
+Only the needed functions are written, because unused static functions cause compiler warnings.
+"""
 
 
 def _lagrangian_piece(program: Program) -> Piece:
-    """`hil_lagrangian`: adds M(q)·q̈ + C(q, q̇)·q̇ + g(q) [N·m] to what is in `torque`.
+    """Return the part of the program that evaluates a Lagrangian network.
 
-    The activations of a friction network are among its functions.
+    The C function `hil_lagrangian` adds M(q)·q̈ + C(q, q̇)·q̇ + g(q) [N·m] to `torque`. The part
+    with the Lagrangian network also contains the activation functions of a friction network.
     """
     terms = program.lagrangian
     if terms is None:
@@ -442,7 +457,7 @@ def _lagrangian_piece(program: Program) -> Piece:
 
 
 def _needed_functions(program: Program, terms: LagrangianTerms) -> set[str]:
-    """Activations of the program and all that they call."""
+    """Return the activation functions of the program and all functions that they call."""
     diagonal = "relu" if terms.rectified else "softplus"
     left = [
         name + end for name in (ACTIVATIONS[terms.activation], diagonal) for end in ("", "_slope")
@@ -458,26 +473,27 @@ def _needed_functions(program: Program, terms: LagrangianTerms) -> set[str]:
 
 
 def _c_type(kind: Kind) -> dict[str, str]:
-    """The type of a network's numbers, and what stands behind literals and functions of it."""
+    """Return the C type of a network's numbers, and the suffix of its literals and functions."""
     return {"real": kind, "f": "f" if kind == "float" else ""}
 
 
 DENSE_BLOCK = 8
-"""Widths of fully connected layers are filled up to a multiple with zeros."""
+"""Number of which the padded widths of fully connected layers are multiples."""
 
 LANES, MOST_CHUNK = 16, 128
-"""Partial sums on the way back, and outputs that are summed in one expression."""
+"""Number of partial sums in the backward pass, and maximum number of outputs per expression."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DenseLayer:
-    """A fully connected layer, filled up.
+    """Fully connected layer, whose widths are padded with zeros.
 
     Attributes:
-        weight: (inputs · outputs,); the outputs of an input lie together.
-        bias: (outputs,).
-        inputs, outputs: How many.
-        slopes_before: Outputs of the layers before.
+        weight: (inputs · outputs,) weights; the weights from one input to all outputs are
+            contiguous.
+        bias: (outputs,) biases.
+        inputs, outputs: Number of inputs and outputs after padding.
+        slopes_before: Total number of outputs of all previous layers.
     """
 
     weight: FloatArray
@@ -488,7 +504,7 @@ class DenseLayer:
 
     @property
     def loops(self) -> tuple[int, int, int, int]:
-        """Inputs, outputs, and on the way back partial sums and outputs in one expression."""
+        """Inputs, outputs, and the partial sums and outputs per expression of the backward pass."""
         lanes = LANES if self.outputs % LANES == 0 else DENSE_BLOCK
         chunks = range(lanes, MOST_CHUNK + 1, lanes)
         return self.inputs, self.outputs, lanes, max(c for c in chunks if self.outputs % c == 0)
@@ -508,7 +524,7 @@ def _dense(layers: Layers) -> list[DenseLayer]:
 
 
 def _row_sum(row: int, lanes: int, chunk: int, first: str = "") -> str:
-    """Products of a row, `lanes` apart, added in pairs."""
+    """Return an expression for the products of a row, `lanes` apart, added in pairs."""
     terms = [f"w{row}[{first}{c} + l] * y[{first}{c} + l]" for c in range(0, chunk, lanes)]
     while len(terms) > 1:
         terms = [f"({' + '.join(terms[k : k + 2])})" for k in range(0, len(terms), 2)]
@@ -516,29 +532,30 @@ def _row_sum(row: int, lanes: int, chunk: int, first: str = "") -> str:
 
 
 def network_piece(correction: Correction, n: int) -> Piece:
-    """`hil_network`: what the networks add to the effort of the physics, for one sample.
+    """Return the part of the program that computes the correction of the physics.
 
-    The C function takes q [rad], qd [rad/s], qdd [rad/s²] and the effort `base` of the physics,
-    `HIL_N` numbers each, and writes as many, 0 for joints that keep no network. It returns what
-    `CorrectedStream` returns, at rest too.
+    The C function `hil_network` processes one sample. The inputs of `hil_network` are q [rad], qd
+    [rad/s], qdd [rad/s²] and the effort `base` of the physics, with `HIL_N` numbers each. The
+    output of `hil_network` has `HIL_N` numbers, which are 0 for joints that use no network. The
+    result of `hil_network` equals that of `CorrectedStream`, at standstill too.
 
     Args:
         correction: Networks whose inputs are the motion only (`inputs: motion`).
         n: Number of joints.
 
     Raises:
-        FitError: The networks hear torque.
-        ValueError: They are for another number of joints, or have weights that are not finite.
+        FitError: The networks have torque inputs.
+        ValueError: The networks have different numbers of joints, or weights that are not finite.
     """
     settings = correction.settings
     if settings.inputs != "motion":
         raise FitError(
-            f"the residual network has inputs: {settings.inputs}, but a program knows the motion "
-            "only",
+            f"the residual network has inputs: {settings.inputs}, but a C program has only the "
+            "motion as input",
             hint="fit residual with inputs: motion",
         )
     if len(correction.kept) != n:
-        raise ValueError(f"networks of {len(correction.kept)} joints for a robot of {n}")
+        raise ValueError(f"networks of {len(correction.kept)} joints, but the robot has {n}")
     if not np.any(correction.kept):
         return _piece("residual.c.j2", cells=None)
     cells = cell_weights(correction)
@@ -570,9 +587,9 @@ def network_piece(correction: Correction, n: int) -> Piece:
 def _network_inputs(
     settings: ResidualSettings, kept: list[int], n: int
 ) -> tuple[list[str], list[str]]:
-    """Inputs of all groups one behind the other, not scaled yet, and arguments that none reads."""
+    """Return the unscaled inputs of all groups in sequence, and the names of unused arguments."""
     if settings.layout == "grouped":
-        # Each kept joint's velocity, signs, acceleration and, if told, effort of the physics.
+        # Velocity, signs, acceleration and, if selected, physics effort of each corrected joint.
         groups = [
             [
                 f"qd[{joint}]",
@@ -590,7 +607,7 @@ def _network_inputs(
 
 
 def _sign(joint: int, width: float) -> str:
-    # Clipped so that the cast to float cannot overflow; tanh(8) = 1 − 2e−7.
+    # The clipping keeps the cast to float from overflowing; tanh(8) = 1 − 2e−7.
     scaled = f"hil_network_clip(qd[{joint}] / {literal(width)}, -8.0, 8.0)"
     return f"(double)hil_network_tanh((float){scaled})"
 
@@ -617,23 +634,24 @@ def _render(template: str, **values: Any) -> str:
 
 
 def comment_text(text: str) -> str:
-    """Foreign text as it may stand in a comment: what could end one, or begin a line, becomes `_`.
+    """Return external text with unusual characters replaced by `_`, for use in a C comment.
 
-    Names of joints, robots and estimators come from files that others wrote.
+    The replaced characters include those that could end a comment or start a line. Names of joints,
+    robots and estimators come from external files.
     """
     return re.sub(r"[^A-Za-z0-9_ .,+-]", "_", text)
 
 
 def literal(value: float, kind: Kind = "double") -> str:
-    """A literal that is read back to the same bits.
+    """Return a C literal from which a compiler reads the same bits.
 
     Raises:
-        ValueError: It is not finite in that type.
+        ValueError: The value is not finite in the C type.
     """
     with np.errstate(over="ignore"):
         stored = np.float32(value) if kind == "float" else np.float64(value)
     if not np.isfinite(stored):
-        raise ValueError(f"{value} cannot be a constant of a program")
+        raise ValueError(f"{value} cannot be a constant of the program")
     text = str(stored) if kind == "float" else repr(float(stored))
     if "." not in text and "e" not in text:
         text += ".0"
@@ -641,7 +659,7 @@ def literal(value: float, kind: Kind = "double") -> str:
 
 
 def array_literal(name: str, values: FloatArray, kind: Kind = "double") -> str:
-    """A `static const` array of any shape, with its initialiser.
+    """Return the definition of a `static const` array of any shape with its initialiser.
 
     Raises:
         ValueError: A value is not finite.

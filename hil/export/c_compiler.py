@@ -1,6 +1,7 @@
-"""A C compiler: programs are compiled and run before anybody relies on them.
+"""Compilation and execution of exported C programs, to check them before use.
 
-Also how much stack a program takes at most, which a task on a controller has to be given.
+The module `c_compiler` also determines the maximum stack size of a program, which is needed for the
+configuration of a controller task.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ NOTHING = "int main(void) { return 0; }\n"
 
 
 def compiler() -> tuple[str, ...] | None:
-    """How the compiler is called: `CC` of the environment, or the first of the usual names.
+    """Return the compiler command: `CC` of the environment, or the first usual name that exists.
 
     Raises:
-        PluginError: `CC` names one that is not there.
+        PluginError: The environment variable `CC` names a program that does not exist.
     """
     if named := shlex.split(os.environ.get("CC", "")):
         if (path := shutil.which(named[0])) is None:
             raise PluginError(
-                f"CC={os.environ['CC']} names no program that can be run",
-                hint="name a C compiler that is installed, or unset CC to take the usual one",
+                f"CC={os.environ['CC']} is not an executable program",
+                hint="set CC to an installed C compiler, or unset CC to use the default compiler",
             )
         return (path, *named[1:])
     found = next((path for name in COMPILERS if (path := shutil.which(name))), None)
@@ -40,16 +41,16 @@ def compiler() -> tuple[str, ...] | None:
 
 
 def require_compiler() -> tuple[str, ...]:
-    """The same.
+    """Return the compiler command; raise if there is no compiler.
 
     Raises:
-        PluginError: There is none.
+        PluginError: There is no compiler.
     """
     if (found := compiler()) is None:
         raise PluginError(
             "no C compiler was found, so the program cannot be checked against the model",
-            hint="install gcc or clang, name one with CC=…, or write it unchecked "
-            "(--unchecked) and run its self-test where it is used",
+            hint="install gcc or clang, set CC=… to a compiler, or export without the check "
+            "(--no-check) and run the self-test on the target",
         )
     return found
 
@@ -57,18 +58,18 @@ def require_compiler() -> tuple[str, ...]:
 def compile_program(
     folder: Path, files: Sequence[str], out: str, flags: Sequence[str] = (PORTABLE,)
 ) -> Path:
-    """Compile and link files of a folder, which is searched for headers as well.
+    """Compile and link files of a folder, which is also searched for headers.
 
     Raises:
-        FitError: The compiler refuses, which is a fault of the export.
-        PluginError: There is no compiler, or none that makes programs at all.
+        FitError: The compiler reports an error in the program, which is a fault of the export.
+        PluginError: There is no compiler, or the compiler cannot compile any program.
     """
     done = _compiled(folder, files, out, (*STRICT, *flags, "-I."))
     if done.returncode or not (folder / out).is_file():
         _require_works(flags)
         raise FitError(
             f"the C program does not compile: {done.stderr.strip()[:500]}",
-            hint="this is a fault of hil's export: please report it with the model's folder",
+            hint="this is a fault of hil's export: please report it with the model folder",
         )
     return folder / out
 
@@ -87,12 +88,12 @@ def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[st
     except (OSError, subprocess.TimeoutExpired) as error:
         raise FitError(
             f"{command[0]} cannot be run: {error}",
-            hint="install gcc or clang, or name a compiler: CC=…; --unchecked leaves the check out",
+            hint="install gcc or clang, set CC=… to a compiler, or skip the check with --no-check",
         ) from error
 
 
 def _require_works(flags: Sequence[str]) -> None:
-    """Refuse a compiler that cannot even make a program that does nothing."""
+    """Raise if the compiler cannot compile an empty program."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "a.c").write_text(NOTHING, "utf-8")
@@ -101,31 +102,31 @@ def _require_works(flags: Sequence[str]) -> None:
             return
     raise PluginError(
         f"{shlex.join(require_compiler())} does not compile: {done.stderr.strip()[:300]}",
-        hint="name a C compiler that makes programs for this machine with CC=…",
+        hint="set CC=… to a C compiler for this machine",
     )
 
 
 def run_self_test(folder: Path, program: Path) -> str:
-    """Return how well a self-test agrees, and on a line of its own the size of the state.
+    """Run a self-test; return its agreement, and on a separate line the size of the state.
 
     Raises:
-        FitError: It does not pass.
+        FitError: The self-test fails.
     """
     done = _run([str(program)], folder)
     said = done.stdout.strip()
     if done.returncode:
         raise FitError(
             f"the C program does not agree with the model: {said or f'exit {done.returncode}'}",
-            hint="this is a fault of hil's export: please report it with the model's folder",
+            hint="this is a fault of hil's export: please report it with the model folder",
         )
     return said
 
 
 def asked(arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """The compiler with these arguments, in a folder; what comes of it is the caller's to judge.
+    """Run the compiler with the passed arguments in a folder; the caller checks the result.
 
     Raises:
-        FitError: It cannot be run.
+        FitError: The compiler cannot be run.
         PluginError: There is no compiler.
     """
     return _run([*require_compiler(), *arguments], folder)
@@ -135,18 +136,20 @@ FRAMES = "-fstack-usage"
 
 
 def stack_bytes(folder: Path, prefix: str, flags: Sequence[str] = (PORTABLE,)) -> int | None:
-    """Bytes that any call of the program takes, without what `math.h` takes of its own.
+    """Return the maximum stack size [bytes] of a call of the program, without that of `math.h`.
 
-    No function of a program calls itself or is called through a pointer, so the frames of those
-    inside and the largest of those outside add up to at least what any call can need.
+    No function of an exported program is recursive or called through a pointer. The stack frames of
+    all internal functions plus the largest frame of the public functions are therefore an upper
+    limit of the stack size.
 
     Args:
-        folder: Holds the program.
-        prefix: Of its files.
-        flags: Of the compiler.
+        folder: Folder with the program.
+        prefix: Prefix of the program files.
+        flags: Flags of the compiler.
 
     Returns:
-        None where the compiler does not tell, or a frame has no largest size.
+        Stack size [bytes]; None if the compiler does not report a stack size, or a frame has no
+        fixed maximum.
 
     Raises:
         PluginError: There is no compiler.
@@ -170,15 +173,15 @@ def _called(prefix: str) -> tuple[str, ...]:
 
 
 def size_note(folder: Path, prefix: str, state: str) -> str:
-    """For people: stack and state, and what they were measured with.
+    """Return a note on stack and state sizes and on the compiler that determined them.
 
     Args:
-        folder: Holds the program.
-        prefix: Of its files.
-        state: What the self-test says of the state.
+        folder: Folder with the program.
+        prefix: Prefix of the program files.
+        state: Text about the size of the state, which the self-test prints.
     """
     stack = stack_bytes(folder, prefix)
-    frames = "" if stack is None else f"at most {stack} bytes of stack beside math.h's own, "
+    frames = "" if stack is None else f"at most {stack} bytes of stack without that of math.h, "
     told = asked(("--version",), folder).stdout.partition("\n")[0]
     machine = asked(("-dumpmachine",), folder).stdout.strip()
     return f"{frames}{state} ({', '.join(filter(None, (told, PORTABLE, machine)))})"

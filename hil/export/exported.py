@@ -1,4 +1,4 @@
-"""What every export says of itself, and writing that leaves all or nothing."""
+"""Common result of all exports, and atomic writing of files and folders."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ from hil.core import RecordingError, write_whole
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was written.
+    """Result of an export.
 
     Attributes:
-        out: The file or folder.
-        files: In the folder; the file's own name where it is one.
-        joint_names: Order of all arrays.
-        effort_unit: Of what comes out; empty where that is no effort.
-        parts: Estimator and whether it remembers, for people.
-        checked: How well it agrees with the model in Python; empty if that was not looked at.
-        notes: For people.
+        out: Path of the written file or folder.
+        files: Names of the files in the folder, or the name of the single file.
+        joint_names: Order of the joints in all arrays.
+        effort_unit: Unit of the effort that the export predicts; empty if the output is not an
+            effort.
+        parts: Text that names the estimator and states whether the program has memory.
+        checked: Text about the agreement with the Python model; empty if the agreement was not
+            checked.
+        notes: Notes for the operator.
     """
 
     out: Path
@@ -35,7 +37,7 @@ class Exported:
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil export --json`; URDF says more."""
+        """Return the documented output of `hil export --json`; a URDF export adds fields."""
         return {
             "out": str(self.out),
             "files": list(self.files),
@@ -48,32 +50,32 @@ class Exported:
 
 
 def effort_unit(effort_kind: str) -> str:
-    """`A` of a current, `N·m` of a torque."""
+    """Return the effort unit: `A` for a current or `N·m` for a torque."""
     return "A" if effort_kind == "current" else "N·m"
 
 
 def require_new(out: Path) -> None:
-    """Refuse to write over anything.
+    """Raise if a file or folder would be overwritten.
 
     Raises:
-        RecordingError: It exists, or cannot.
+        RecordingError: The path exists, or cannot be accessed.
     """
     try:
-        there = out.exists() or out.is_symlink()  # a link to nothing is written over, too
+        there = out.exists() or out.is_symlink()  # writing would also replace a broken link
     except OSError as error:
         raise RecordingError(
             f"cannot write {out}: {error.strerror}",
-            hint="see whether the folder may be written to and the disk has room",
+            hint="check the permissions of the folder and the free disk space",
         ) from error
     if there:
-        raise RecordingError(f"{out} exists already", hint="name one with --out that does not")
+        raise RecordingError(f"{out} exists already", hint="choose a new path with --out")
 
 
 def write_folder(files: Mapping[str, str], out: Path) -> None:
-    """All or nothing: the folder appears when everything is in it.
+    """Write a folder atomically: the folder appears only when all its files are complete.
 
     Raises:
-        RecordingError: It cannot be made.
+        RecordingError: The folder cannot be written.
     """
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -89,15 +91,15 @@ def write_folder(files: Mapping[str, str], out: Path) -> None:
     except OSError as error:
         raise RecordingError(
             f"cannot write {out}: {error.strerror}",
-            hint="see whether the folder may be written to and the disk has room",
+            hint="check the permissions of the folder and the free disk space",
         ) from error
 
 
 def write_file(content: bytes, out: Path) -> None:
-    """All or nothing: the file appears when everything is in it.
+    """Write a file atomically: the file appears only when its content is complete.
 
     Raises:
-        RecordingError: It cannot be made.
+        RecordingError: The file cannot be written.
     """
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -105,5 +107,5 @@ def write_file(content: bytes, out: Path) -> None:
     except OSError as error:
         raise RecordingError(
             f"cannot write {out}: {error.strerror}",
-            hint="see whether the folder may be written to and the disk has room",
+            hint="check the permissions of the folder and the free disk space",
         ) from error

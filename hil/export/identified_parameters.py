@@ -1,9 +1,11 @@
-"""What a fitted model says about the arm, as parameters of bodies that can exist.
+"""Physically consistent inertial parameters and simple friction of a fitted model.
 
-Some estimators carry such parameters (`inertial_`). Others know base parameters only, or none by
-name; then their rigid torques at sampled motions are reproduced by physically consistent links
-nearest to the nominal ones (`hil.estimators.consistent`). Where links that can exist have the
-model's base parameters, these come out exactly, and what torques do not show is all that is chosen.
+Some estimators have physically consistent parameters (`inertial_`). Other estimators only have base
+parameters, or no named parameters. For estimators without consistent parameters, physically
+consistent links near the nominal links are computed that reproduce the rigid torques at sampled
+motions (`hil.estimators.consistent`). If consistent links with the model's base parameters exist,
+the computed links have exactly these base parameters, and only parameters that do not influence the
+torques are chosen freely.
 """
 
 from __future__ import annotations
@@ -20,19 +22,19 @@ from hil.estimators import InertialBounds, RobotEstimator, consistent_least_squa
 SAMPLES = 400
 SPEED_RAD_S = 1.0
 ACCELERATION_RAD_S2 = 3.0
-"""Motions at which a model is asked for its torques: what an arm does in an excitation."""
+"""Acceleration range [rad/s²] of the sampled motions; a typical value of an excitation."""
 
 REACH_RAD = np.pi
-"""Range of joints without limits."""
+"""Range [rad] of the sampled motions for joints without limits."""
 
 SMALLEST_SHARE = 1e-3
-"""Torques are matched to this share of a joint's largest one; exactly where links allow."""
+"""Accuracy of the torque fit, as a share of a joint's largest torque, if no exact fit exists."""
 
 RIGID_SHARE = 1e-6
-"""What a rigid body may leave of a model's rigid torques, as a share of the largest."""
+"""Largest residual of a rigid-body fit, as a share of the largest rigid torque."""
 
 RIGID = ("gravity", "inertia", "coriolis")
-"""Parts of a prediction that bodies make."""
+"""Names of the components of a prediction that are caused by rigid bodies."""
 
 FRICTION_S, FRICTION_HZ = 60.0, 1000.0
 SIGN_WIDTH = 0.01
@@ -40,17 +42,20 @@ SIGN_WIDTH = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedParameters:
-    """An arm as bodies.
+    """Identified parameters of an arm: links and friction.
 
     Attributes:
-        inertial: (11n,) in the order of `RobotModel.parameters(rotor=True)`, a body each.
-        coulomb: (n,) friction that does not depend on speed [N·m], not below 0.
-        viscous: (n,) friction per speed [N·m·s/rad], not below 0.
-        mismatch: (n,) RMS of their torque less the model's rigid one over sampled motions [N·m].
-        own: Whether the model itself has them.
-        exact: Whether they have to make the model's torques: its own, or those of a rigid body
-            whose base parameters belong to links that can exist.
-        notes: For people.
+        inertial: (11n,) parameters of the links in the order of
+            `RobotModel.parameters(rotor=True)`.
+        coulomb: (n,) friction that does not depend on the speed [N·m], at least 0.
+        viscous: (n,) friction per unit of speed [N·m·s/rad], at least 0.
+        mismatch: (n,) RMS difference over sampled motions between the torque of the parameters
+            `inertial` and the model's rigid torque [N·m].
+        own: Whether the model itself contains the parameters `inertial`.
+        exact: Whether the parameters `inertial` must reproduce the model's torques exactly. Exact
+            reproduction is required for parameters that the model itself contains, and if
+            consistent links with the base parameters of the model exist.
+        notes: Notes for the operator.
     """
 
     inertial: FloatArray
@@ -63,11 +68,11 @@ class IdentifiedParameters:
 
 
 def identified_parameters(model: RobotEstimator) -> IdentifiedParameters:
-    """Consistent parameters of a fitted model, and its friction as URDF can say it.
+    """Return consistent parameters of a fitted model, and its friction in the form of URDF.
 
     Raises:
-        FitError: The model has no rigid part, or no consistent parameters could be found.
-        PluginError: cvxpy is needed and not installed.
+        FitError: The model has no rigid part, or no consistent parameters could be computed.
+        PluginError: The package cvxpy is required and not installed.
     """
     motion = _sampled(model)
     _, torque = rigid_asked(model, motion)
@@ -81,17 +86,17 @@ def identified_parameters(model: RobotEstimator) -> IdentifiedParameters:
     notes = []
     if not exact:
         notes.append(
-            "no links within bounds have the model's base parameters; these come nearest "
-            "(rigid-lmi fits links that exist)"
+            "no physically consistent links within the bounds have the model's base parameters; "
+            "the nearest ones were written (rigid-lmi fits consistent links)"
         )
     return IdentifiedParameters(inertial, coulomb, viscous, mismatch, own, exact, tuple(notes))
 
 
 def rigid_parameters(model: RobotEstimator) -> FloatArray:
-    """(11n,) parameters with the model's rigid torques; not those of links that can exist.
+    """Return parameters (11n,) with the model's rigid torques; the links can be inconsistent.
 
     Raises:
-        FitError: The model has no rigid part, or one that no links make.
+        FitError: The model has no rigid part, or no links have the model's rigid torques.
     """
     motion, base = _sampled(model), base_parameters(model.robot_, rotor=True)
     _, torque = rigid_asked(model, motion)
@@ -100,14 +105,14 @@ def rigid_parameters(model: RobotEstimator) -> FloatArray:
     error = torque - model.robot_.torque(parameters, *motion)
     if np.any(np.abs(error).max(axis=0) > RIGID_SHARE * np.abs(torque).max()):
         raise FitError(
-            f"the gravity and inertia of {model.estimator} are not those of any rigid body",
+            f"the gravity and inertia of {model.estimator} are not those of rigid bodies",
             hint="fit a rigid-body model: rigid-hysteresis, rigid-wls",
         )
     return parameters
 
 
 def _nearest(model: RobotEstimator, W: FloatArray, torque: FloatArray) -> tuple[FloatArray, bool]:
-    """(11n,) consistent links near the nominal ones that make these torques, and if they do."""
+    """Return consistent links (11n,) near the nominal links, and whether they fit exactly."""
     robot, base = model.robot_, base_parameters(model.robot_, rotor=True)
     weight = 1.0 / np.maximum(SMALLEST_SHARE * np.abs(torque).max(axis=0), 1e-9)
     rows = np.tile(weight, len(torque))
@@ -123,7 +128,11 @@ def _nearest(model: RobotEstimator, W: FloatArray, torque: FloatArray) -> tuple[
 def _exact(
     inertial: FloatArray, wanted: FloatArray, base: BaseParameters, n: int
 ) -> tuple[FloatArray, bool]:
-    """The parameters moved to the wanted base parameters, if that leaves every link a body."""
+    """Move parameters to the requested base parameters if all links stay consistent.
+
+    Returns:
+        Parameters, and whether the parameters were moved.
+    """
     moved = inertial.copy()
     moved[base.independent] += wanted - base.combine(inertial)
     fine = np.all(is_consistent(moved[: 10 * n].reshape(n, 10))) and np.all(moved[10 * n :] >= 0)
@@ -131,7 +140,7 @@ def _exact(
 
 
 def _sampled(model: RobotEstimator) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """q, qd, qdd (SAMPLES, n), each row by itself."""
+    """Return random q, qd, qdd (SAMPLES, n) with independent rows."""
     robot, random = model.robot_, np.random.default_rng(0)
     low, high = _range(model)
     unit = random.uniform(-1.0, 1.0, (3, SAMPLES, robot.n))
@@ -148,23 +157,24 @@ def _range(model: RobotEstimator) -> tuple[FloatArray, FloatArray]:
 def rigid_asked(
     model: RobotEstimator, motion: tuple[FloatArray, FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Gravity alone, and all that the model says of bodies without friction, each (N, n) [N·m].
+    """Return torques of gravity alone and of all rigid-body terms, each (N, n) [N·m].
 
     Raises:
-        FitError: It does not tell them from the rest.
+        FitError: The model does not separate gravity and inertia from the other parts.
     """
     parts = _asked(model, np.arange(len(motion[0])) / FRICTION_HZ, *motion).components
     if not {"gravity", "inertia"} <= parts.keys():
         raise FitError(
-            f"{model.estimator} does not tell gravity and inertia apart, so there are no links",
-            hint="export a rigid-body model; of other models --to json writes what they know",
+            f"{model.estimator} does not separate gravity and inertia, so it has no link "
+            "parameters",
+            hint="export a rigid-body model, or write the parameters with --to json",
         )
     whole = sum(parts[name] for name in RIGID if name in parts)
     return parts["gravity"] * model.torque_scale_, np.asarray(whole * model.torque_scale_)
 
 
 def plain_friction(model: RobotEstimator, hz: float = FRICTION_HZ) -> tuple[FloatArray, FloatArray]:
-    """Coulomb and viscous friction (n,) that come nearest to the model's on a smooth motion."""
+    """Return the Coulomb and viscous friction (n,) that is nearest to the model's friction."""
     qd, torque = friction_asked(model, hz)
     terms = np.stack(list(friction_terms(qd, SIGN_WIDTH).values()))
     found = np.array(
@@ -174,7 +184,7 @@ def plain_friction(model: RobotEstimator, hz: float = FRICTION_HZ) -> tuple[Floa
 
 
 def friction_asked(model: RobotEstimator, hz: float) -> tuple[FloatArray, FloatArray]:
-    """A smooth motion's velocity, and the model's friction on it; zeros if it tells none."""
+    """Return the velocity of a smooth motion and the model's friction, zero without friction."""
     t = np.arange(0.0, FRICTION_S, 1.0 / hz)
     low, high = _range(model)
     q, qd, qdd = np.zeros((3, len(t), model.robot_.n))
@@ -193,6 +203,6 @@ def friction_asked(model: RobotEstimator, hz: float) -> tuple[FloatArray, FloatA
 def _asked(
     model: RobotEstimator, t: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
 ) -> Prediction:
-    """The model's prediction for a motion as it is, nothing filtered, nothing mounted."""
-    physics: RobotEstimator = getattr(model, "base_", model)  # a network has no links
+    """Return the model's prediction for an unfiltered motion without a load."""
+    physics: RobotEstimator = getattr(model, "base_", model)  # a residual network has no links
     return physics.predict(motion_of(model, t, q, qd, qdd))

@@ -1,8 +1,10 @@
-"""Whether a JSON document says what the model says: computed from its numbers alone.
+"""Check that a JSON document reproduces the predictions of its model from its numbers alone.
 
 Models of motion are compared by their efforts on the golden motion (see `hil.export.agreement`) and
-at low speeds, static models by gravity, drive and friction at rest; links and torques through the
-gears where there are some. What only a network knows is the model's own, and is said to be.
+at low speeds. Static models are compared by gravity, drive and friction at standstill. Physically
+consistent links and torques through the gears are also compared if the document contains them.
+Network contributions are not in a document; the check takes these contributions from the model and
+reports them as not compared.
 """
 
 from __future__ import annotations
@@ -46,19 +48,22 @@ from hil.export.program import bodies
 from hil.networks import LagrangianEstimator, ResidualNetwork
 
 EXACT = 1e-9
-"""Largest difference as a share of each joint's largest value: numbers are written in full."""
+"""Largest permitted difference between document and model, as a share of a joint's largest value.
+
+The tolerance is small, because a document contains all digits of its numbers.
+"""
 
 SINGLE = 1e-5
-"""The same for what a network computes in single precision."""
+"""Largest permitted difference for values that a network computes in single precision."""
 
 NOTHING = 1e-9
-"""Joints whose largest value is less than this have none."""
+"""Minimum of a joint's reference value, as a share of the largest value of all joints."""
 
 LOAD_ROW = np.array([LOAD.mass, *LOAD.com, *LOAD.inertia])
 
 
 class Compared(NamedTuple):
-    """Something that the model says (N, n), and how it follows from a document."""
+    """Values (N, n) of the model, and the function that computes these values from a document."""
 
     what: str
     theirs: FloatArray
@@ -66,14 +71,14 @@ class Compared(NamedTuple):
 
 
 def checked(model: RobotEstimator, document: Document) -> str:
-    """What was compared, how well it agrees and what was not compared.
+    """Return a text with the compared values, their largest differences and the omitted values.
 
     Args:
-        model: Fitted.
-        document: As it is read back from JSON.
+        model: Fitted model.
+        document: Document after reading it back from JSON.
 
     Raises:
-        FitError: The document says something else than the model.
+        FitError: A value that is computed from the document differs from the value of the model.
     """
     physics = model.base_ if isinstance(model, ResidualNetwork) else model
     told = differences(physics, document, comparisons(physics, document))
@@ -89,17 +94,17 @@ def _not_compared(physics: RobotEstimator, document: Document) -> list[str]:
         left_out.append("networks, whose weights are not in the document")
     groups: set[Any] = {one["group"] for one in document["parameters"]}
     if not (groups - {"unknown"} or document["networks"]):
-        left_out.append("an estimator that this version of hil does not know")
+        left_out.append("an estimator that is unknown to this version of hil")
     return left_out
 
 
 def differences(
     physics: RobotEstimator, document: Document, compared: Sequence[Compared]
 ) -> list[str]:
-    """How well each agrees, in words.
+    """Return the largest difference of each comparison as text.
 
     Raises:
-        FitError: One does not.
+        FitError: A difference exceeds the tolerance.
     """
     told = []
     for what, theirs, ours in compared:
@@ -109,14 +114,17 @@ def differences(
             raise FitError(
                 f"{what} computed from the document differ from the model's by {difference:.1g} "
                 "of the largest",
-                hint="please report this; the model folder itself is as it was",
+                hint="please report this fault; the model folder is unchanged",
             )
         told.append(f"{what}: {difference:.1g}")
     return told
 
 
 def _difference(ours: FloatArray, theirs: FloatArray) -> float:
-    """Largest of any joint, as a share of the joint's largest; of all where it has none."""
+    """Return the largest difference of any joint, as a share of the joint's largest value.
+
+    For joints whose values are almost zero, the reference is the largest value of all joints.
+    """
     largest = np.abs(theirs).max(axis=0)
     whole = float(largest.max())
     scale = np.where(largest > NOTHING * whole, largest, whole or 1.0)
@@ -124,7 +132,7 @@ def _difference(ours: FloatArray, theirs: FloatArray) -> float:
 
 
 def comparisons(physics: RobotEstimator, document: Document) -> list[Compared]:
-    """All that can be compared of a model, evaluated once; of the document what there is counts."""
+    """Return all comparisons that are possible for a model and a document."""
     found: list[Compared] = []
     if isinstance(physics, RigidLinear | RigidHysteresis | LagrangianEstimator):
         found += _efforts(physics)
@@ -155,7 +163,10 @@ def _efforts(physics: RobotEstimator) -> Iterator[Compared]:
 def _computed(
     physics: RobotEstimator, motion: tuple[FloatArray, FloatArray, FloatArray]
 ) -> Callable[[Document, FloatArray | None], FloatArray]:
-    """Whole efforts, sample by sample, from a document; what networks add is the model's own."""
+    """Return a function that computes efforts from a document, sample by sample.
+
+    The function takes the contributions of networks from the model.
+    """
     learnt = np.zeros_like(motion[0])
     if isinstance(physics, LagrangianEstimator):
         t = np.arange(len(learnt)) / RATE_HZ
@@ -173,14 +184,21 @@ def _computed(
 
 
 def _creeping(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """q, qd, qdd (N, n): speeds from 1e-8 rad/s up, both ways, as golden vectors hardly have."""
+    """Return q, qd, qdd (N, n) with speeds from 1e-8 to 1 rad/s in both directions.
+
+    Golden vectors contain almost no samples at speeds as low as 1e-8 rad/s.
+    """
     speed = np.repeat(np.geomspace(1e-8, 1.0, 33), 2) * np.tile([1.0, -1.0], 33)
     qd = np.outer(speed, np.ones(n))
     return np.cumsum(0.004 * qd, axis=0), qd, np.zeros_like(qd)
 
 
 def _curve(physics: LagrangianEstimator) -> Compared:
-    """Friction alone, at steady speeds: in efforts its rounding is that of the whole network."""
+    """Return the comparison of friction alone at steady speeds.
+
+    Friction is compared separately, because efforts also contain the rounding errors of the whole
+    network.
+    """
     from hil.networks import network_of
 
     network = network_of(physics.design_, physics.torque_std_, physics.weights_)
@@ -193,7 +211,7 @@ def _curve(physics: LagrangianEstimator) -> Compared:
 
 
 def _gear(physics: RobotEstimator, gear: FloatArray) -> Compared:
-    random = np.random.default_rng(0)  # every row by itself, so that no parameter hides
+    random = np.random.default_rng(0)  # independent rows, so that every parameter matters
     q, qd, qdd = random.uniform(-2.0, 2.0, (3, 60, physics.robot_.n))
     full = base_parameters(physics.robot_, rotor=True).expand(gear)
     theirs = physics.robot_.torque(full, q, qd, qdd)
@@ -213,7 +231,7 @@ CELSIUS = 40.0
 
 
 def _at_rest(model: StaticModel) -> Iterator[Compared]:
-    """What the model says at rest, and how the document says it, bare and with a load."""
+    """Yield the comparisons of a static model at standstill, without and with a load."""
     q = motion(model.robot_, SAMPLES, RATE_HZ)[0]
     for what, load in (("", None), (" with a load", LOAD)):
         if load is not None and not model.knows_gains:
@@ -225,11 +243,14 @@ def _at_rest(model: StaticModel) -> Iterator[Compared]:
     if isinstance(model, StaticFriction):
         levels = model.dry_friction()[None]
         yield Compared("levels of dry friction", levels, _levels)
-        yield Compared("levels as told", levels, lambda d: _array(d, "level_nm"))
+        yield Compared("levels as reported", levels, lambda d: _array(d, "level_nm"))
 
 
 def _inverse(model: StaticInverse, q: FloatArray, load: Payload | None, what: str) -> Compared:
-    """Eq. 16 with the model's currents gives the document's gravity, where there are such."""
+    """Return the comparison of eq. 16 with the model's currents to the gravity of the document.
+
+    Samples for which eq. 16 has no solution for the current are skipped.
+    """
     effort = StaticModel.predict(model, dwells_of(model, q, load)).effort
     k1, k2, k0 = model.constants_
     held = (k2 * np.abs(effort) + k1) * effort + k0
@@ -247,7 +268,7 @@ def _inverse(model: StaticInverse, q: FloatArray, load: Payload | None, what: st
 def _gravity(
     document: Document, q: FloatArray, load: Payload | None, group: str = "gravity"
 ) -> FloatArray:
-    """(N, n) torque of the arm at rest and of what is mounted [N·m]."""
+    """Return the torque (N, n) of the static arm and of the mounted load [N·m]."""
     still = np.zeros_like(q)
     mounted = None if load is None else LOAD_ROW
     if any("waves" in one for one in document["parameters"]):
@@ -262,7 +283,7 @@ def _linear(model: StaticModel, q: FloatArray, load: Payload | None, what: str) 
         both = np.stack([paths, np.gradient(paths, ARRIVAL_STEP_S, axis=1)], axis=2)
         told = _uncorrected(model).predict(replace(data, arrivals=both))
     else:
-        # As every static model does: without networks, which are not in the document.
+        # StaticModel.predict omits networks, which are not in the document.
         told = StaticModel.predict(model, data)
 
     def ours(document: Document) -> FloatArray:
@@ -276,13 +297,13 @@ def _linear(model: StaticModel, q: FloatArray, load: Payload | None, what: str) 
 
 
 def _paths(q: FloatArray) -> FloatArray:
-    """(N, K, n) ways into poses from both sides: parabolas, which smoothing leaves as they are."""
+    """Return parabolic paths (N, K, n) into poses, which smoothing does not change."""
     s = np.linspace(1.0, 0.0, ARRIVAL_POINTS)[None, :, None]
     return np.asarray(1e-3 * np.sign(np.sin(5.0 * q))[:, None] * s * (1.4 * s - 0.4))
 
 
 def _uncorrected(model: StaticFriction) -> StaticFriction:
-    """The same without a correction that was learnt."""
+    """Return the model without its learned correction."""
     plain = estimator(model.estimator, **model.get_params())
     assert isinstance(plain, StaticFriction)
     plain.robot_ = model.robot_
@@ -291,7 +312,7 @@ def _uncorrected(model: StaticFriction) -> StaticFriction:
 
 
 def _levels(document: Document) -> FloatArray:
-    """(1, n) from the parameters of Dahl's states."""
+    """Return the levels (1, n) of dry friction from the parameters of Dahl's states."""
     names = [joint["name"] for joint in document["robot"]["joints"]]
     sums = np.zeros((1, len(names)))
     for one in document["parameters"]:

@@ -1,10 +1,10 @@
-"""A fitted model as one JSON document: parameters with units and how sure they are.
+"""Export of a fitted model as one JSON document: parameters with units and uncertainties.
 
-A document has the robot, the effort the model predicts, every number that the estimator found and
-that means something (`json_parameters`), the law of friction they belong to (`json_friction`), and
-what networks add. What is not known is null, with the reason beside it. Before a document is
-written, `hil.export.json_check` computes the model's torques from it; `hil.export.json_reader`
-is what users compute them with.
+A document contains the robot, the predicted effort, every number of the estimator that has a
+physical meaning (`json_parameters`), the friction law to which the numbers belong
+(`json_friction`), and the size of networks. An unknown value is null; a separate field contains the
+reason. Before a document is written, `hil.export.json_check` computes the torques of the model from
+the document. Users of a document compute the torques with `hil.export.json_reader`.
 """
 
 from __future__ import annotations
@@ -32,19 +32,20 @@ from hil.export.program import flange_in_last_joint
 from hil.networks import LagrangianEstimator, ResidualNetwork, StaticMlpLm
 
 FORMAT = 1
-"""Grows when a reader of older documents would misread a new one."""
+"""Format version, which increases if older readers would misinterpret new documents."""
 
 
 def export_json(model: RobotEstimator, out: Path) -> Exported:
-    """Write the parameters of a model, after its torques were computed from them.
+    """Write the parameters of a model, after computing the model's torques from the document.
 
     Args:
-        model: Fitted.
-        out: File to be made.
+        model: Fitted model.
+        out: File that is created.
 
     Raises:
-        FitError: The model is not fitted, or what the document says is not what the model says.
-        RecordingError: The file exists already, or cannot be made.
+        FitError: The model is not fitted, or the document does not reproduce the predictions of the
+            model.
+        RecordingError: The file already exists, or cannot be created.
     """
     require_new(out)
     document = document_of(model)
@@ -57,10 +58,11 @@ def export_json(model: RobotEstimator, out: Path) -> Exported:
 
 
 def document_of(model: RobotEstimator) -> dict[str, Any]:
-    """The document of a fitted model, as it is read back.
+    """Return the document of a fitted model, after reading the document back from JSON.
 
     Raises:
-        FitError: As `export_json`.
+        FitError: The model is not fitted, or the document does not reproduce the predictions of the
+            model.
     """
     if not hasattr(model, "sigma_"):
         raise FitError(f"{model.estimator} is not fitted yet", hint="call fit first")
@@ -82,7 +84,7 @@ def document_of(model: RobotEstimator) -> dict[str, Any]:
 
 
 def model_part(model: RobotEstimator) -> dict[str, Any]:
-    """What found the parameters, with what settings and from what, as `model.json` says it."""
+    """Return estimator, settings and training data of the model, as `model.json` contains them."""
     stored = json.loads(model_files(model)[MODEL_FILE])
     filters = getattr(model, "filters_", None) or getattr(model, "filters", None)
     return {
@@ -100,7 +102,7 @@ def model_part(model: RobotEstimator) -> dict[str, Any]:
 
 
 def robot_part(robot: RobotModel) -> dict[str, Any]:
-    """Joints as placements, so that a reader needs no other description of the arm."""
+    """Return the joints with their placements, which replace any other description of the arm."""
     geometry, described = robot.joint_geometry(), robot.to_dict()
     coupling = getattr(robot, "joints_per_motor", None)
     joints = [
@@ -117,7 +119,7 @@ def robot_part(robot: RobotModel) -> dict[str, Any]:
         for j, name in enumerate(robot.joint_names)
     ]
     return {
-        # A path says where somebody keeps files, not what robot it is.
+        # Only the file name: the folder is private and does not identify the robot.
         "name": Path(robot.name).name,
         "gravity_m_s2": robot.gravity_vector,
         "joints": joints,
@@ -127,15 +129,17 @@ def robot_part(robot: RobotModel) -> dict[str, Any]:
 
 
 GAINS_UNKNOWN = (
-    "the model knows where its gains come from, not how sure they are; hil gains tells that"
+    "the model stores the source of its gains, not their uncertainty; see hil drive-gains"
 )
 
-NO_GAINS = "fitted to currents without drive gains: what others have in N·m is told in A, 1 A per A"
+NO_GAINS = (
+    "fitted to currents without drive gains: values that are otherwise in N·m are in A, 1 A per A"
+)
 A_TORQUE = "efforts are torques"
 
 
 def effort_part(model: RobotEstimator) -> dict[str, Any]:
-    """Kind and unit of what the model predicts, and the torque that one unit of it is."""
+    """Return kind and unit of the predicted effort, and the torque of one unit of effort."""
     unit, torque = effort_unit(model.effort_kind_), torque_unit(model)
     known = not (torque == "A" and unit == "A")
     reason = (GAINS_UNKNOWN if known else NO_GAINS) if unit == "A" else A_TORQUE
@@ -153,7 +157,7 @@ def effort_part(model: RobotEstimator) -> dict[str, Any]:
 
 
 def sigma_part(model: RobotEstimator) -> dict[str, Any]:
-    """How far predictions are off, joint by joint."""
+    """Return the prediction error of each joint."""
     bands = getattr(model, "bands_", None)
     return {
         "values": model.sigma_,
@@ -175,20 +179,20 @@ def _sigma_meaning(model: RobotEstimator) -> str:
     if isinstance(model, StaticMlpLm):
         return "root mean square error at poses held out of the training, if there were any"
     if isinstance(model, StaticHysteresis) and len(model.penalty_):
-        return "root mean square error on poses that the correction had not seen"
+        return "root mean square error on poses that were not used to fit the correction"
     return "standard deviation of the training residual"
 
 
-NO_LINKS = "the estimator knows sums of inertial parameters only, not those of single links"
+NO_LINKS = "the estimator identifies only sums of inertial parameters, not those of single links"
 
 CHOICE = (
-    "one set of links that can exist and has these torques: a single link's mass is a choice among "
-    "many, only the base parameters were measured"
+    "one of many physically consistent sets of links with these torques: the mass of a single "
+    "link is a choice, only the base parameters were measured"
 )
 
 
 def links_part(model: RobotEstimator) -> dict[str, Any]:
-    """Full inertial parameters of links that can exist, where the model has them."""
+    """Return the inertial parameters of physically consistent links, if the model has them."""
     physics = getattr(model, "base_", model)
     inertial = getattr(physics, "inertial_", None)
     if inertial is None:
@@ -210,12 +214,12 @@ def _link(joint: str, body: np.ndarray[Any, Any], rotor: float) -> dict[str, Any
 
 
 def networks_part(model: RobotEstimator) -> list[dict[str, Any]]:
-    """What was learnt that no single number tells: sizes, and where the weights lie."""
+    """Return sizes and storage locations of the networks, whose weights are not in the document."""
     if isinstance(model, ResidualNetwork):
         return [_residual(model), *networks_part(model.base_)]
     if isinstance(model, LagrangianEstimator):
         weights = sum(int(w.size) for w in model.weights_.values() if w.dtype.kind == "f")
-        what = "inertia matrix and potential of the arm, and friction where it is a network"
+        what = "inertia matrix and potential of the arm, and friction if it is a network"
         inputs = ["q", "qd", "qdd", "direction"]
         return [_network(what, 1, weights, "network.", inputs, model.design_.facts(), model)]
     if isinstance(model, StaticMlpLm):
@@ -248,7 +252,7 @@ def _residual(model: ResidualNetwork) -> dict[str, Any]:
         "rate_hz": first.rate_hz,
         "window_samples": correction.settings.window,
     }
-    what = "what the physics leaves in motion, in effort units: the mean of the networks"
+    what = "residual of the physics in motion, in effort units: mean of the networks"
     told = _network(what, len(correction.networks), weights, "network", inputs, layout, model)
     kept = zip(model.joint_names_, correction.kept, strict=True)
     return told | {"joints": [name for name, own in kept if own], "limit": correction.limit}

@@ -1,10 +1,11 @@
-"""Friction as a document words it: each term's unit, column and meaning, and the law they form.
+"""Friction terms of a JSON document: unit, column and meaning of each term, and the friction law.
 
-A parameter's `column` is what it is multiplied with to give a torque; `hil.export.json_reader`
-computes columns of friction as the formulas stand here. In them v is the joint's velocity, s the
-smooth sign of it, z Dahl's state in place of that sign (z10: with ten times the length), τ the
-torque through the gear, T the joint's temperature. `friction_part` gives the law that sums the
-columns: its name, formula and constants.
+The `column` of a parameter is the expression by which it is multiplied to give a torque. The module
+`hil.export.json_reader` evaluates the columns of friction from the formulas in the document. In the
+formulas, v is the velocity of the joint, s the smooth sign of v, z Dahl's state in place of s, z10
+Dahl's state with ten times the length, τ the torque through the gear, and T the joint temperature.
+The function `friction_part` describes the law that sums the columns: its name, formula and
+constants.
 """
 
 from __future__ import annotations
@@ -32,12 +33,13 @@ from hil.networks import LagrangianEstimator, ResidualNetwork, StaticMlpLm
 
 
 class Term(NamedTuple):
-    """A parameter of a joint.
+    """Friction term: description of a joint parameter.
 
     Attributes:
-        unit: Of a joint that turns, with torques in N·m; see `adapted`.
-        column: What it is multiplied with to give a torque, or what it is.
-        meaning: In words.
+        unit: Unit of the parameter for a revolute joint with torques in N·m; see `adapted` for
+            other joints.
+        column: Expression by which the parameter is multiplied to give a torque, or its symbol.
+        meaning: Meaning of the parameter as text.
     """
 
     unit: str
@@ -49,7 +51,7 @@ TORQUE, DAMPING = "N·m", "N·m·s/rad"
 
 
 def adapted(unit: str, *, slides: bool = False, torque: str = TORQUE) -> str:
-    """The unit of a joint that slides, or of efforts whose drive gains nobody knows."""
+    """Return the unit for a prismatic joint, or for efforts without known drive gains."""
     if slides:
         unit = unit.replace(TORQUE, "N").replace("rad", "m")
     return unit if torque == TORQUE else unit.replace(TORQUE, torque)
@@ -57,21 +59,25 @@ def adapted(unit: str, *, slides: bool = False, torque: str = TORQUE) -> str:
 
 COULOMB = Term(TORQUE, "s", "Coulomb friction")
 VISCOUS = Term(DAMPING, "v", "viscous friction")
-OFFSET = Term(TORQUE, "1", "constant: bias of drive or sensor, other friction one way")
-STATIC = Term(TORQUE, "s", "static friction: that of a joint which hardly moves")
+OFFSET = Term(
+    TORQUE, "1", "constant: bias of drive or sensor, or friction that depends on the direction"
+)
+STATIC = Term(TORQUE, "s", "static friction, at very low speed")
 POWER = Term("N·m·(s/rad)^α", "s·(|v| + v0)^α", "friction that grows with a power of speed")
 EXPONENT = Term("1", "α", "exponent α of the speed")
-STRIBECK_SPEED = Term("rad/s", "vs", "speed at which static has given way to Coulomb friction")
-STRIBECK_SHAPE = Term("1", "δ", "how abruptly it does")
-LENGTH = Term("rad", "x0", "way in which Dahl's state comes round")
+STRIBECK_SPEED = Term(
+    "rad/s", "vs", "Stribeck speed: scale of the transition from static to Coulomb friction"
+)
+STRIBECK_SHAPE = Term("1", "δ", "exponent of the Stribeck transition")
+LENGTH = Term("rad", "x0", "displacement constant of Dahl's state after a reversal")
 
 PLAIN = {"coulomb": COULOMB, "viscous": VISCOUS, "offset": OFFSET}
-"""Of `rigid-wls` and its kin."""
+"""Friction terms of `rigid-wls` and similar estimators."""
 
 POWER_VISCOUS = Term(
     "N·m·(s/rad)^α", "v·(v² + w²)^((α − 1)/2)", "friction that grows with a power of speed"
 )
-"""Viscous friction of `rigid-irls`."""
+"""Viscous friction term of `rigid-irls`."""
 
 FORMS: dict[str, Mapping[str, Term]] = {
     "coulomb-viscous": PLAIN,
@@ -90,12 +96,12 @@ FORMS["memory"] = PLAIN | {
     "load": Term("1", "z·|τ|", "friction that grows with load: the gear's efficiency"),
     "speed": POWER,
     "memory": Term(TORQUE, "z10", "friction with a longer memory"),
-    "memory_load": Term("1", "z10·|τ|", "the same, growing with load"),
+    "memory_load": Term("1", "z10·|τ|", "friction with a longer memory that grows with load"),
     "dahl_length": LENGTH,
     "stribeck_velocity": STRIBECK_SPEED,
     "speed_exponent": EXPONENT,
 }
-"""Of `rigid-diffnea`, by its parameter `friction`."""
+"""Friction terms of `rigid-diffnea`, by the value of its parameter `friction`."""
 
 NETWORK: dict[str, Mapping[str, Term]] = {
     "coulomb": {"f_c": COULOMB, "f_v": VISCOUS, "offset": OFFSET},
@@ -109,15 +115,19 @@ NETWORK: dict[str, Mapping[str, Term]] = {
         "offset": OFFSET,
     },
 }
-"""Of `lagrangian`, by its parameter `friction`, z for s with Dahl's state; others are networks."""
+"""Friction terms of `lagrangian`, by the value of its parameter `friction`.
+
+With Dahl's state, z replaces s in the columns. Friction kinds without an entry are networks, whose
+weights are not friction terms.
+"""
 
 SHAPES = {
     "length": Term("rad", "x0", "shortest length of Dahl's state"),
     "stribeck": Term("rad/s", "vs", "speed at which the Stribeck peak has fallen to 1/e"),
     "power": Term("1", "p", "exponent of the concave speed law"),
-    "turns": Term("1", "N", "motor turns per joint turn, as given; not fitted"),
+    "turns": Term("1", "N", "motor turns per joint turn, as set; not fitted"),
 }
-"""Of `rigid-hysteresis`: `hil.estimators.friction_library.Shapes`."""
+"""Shape parameters of `rigid-hysteresis`: `hil.estimators.friction_library.Shapes`."""
 
 _PEAK = "exp(−|v|/vs)"
 _HERE = f"{REFERENCE_C:g} °C"
@@ -133,26 +143,28 @@ _LIBRARY = {
     "stribeck load": Term("1", f"z·{_PEAK}·|τ|", "Stribeck peak that grows with load"),
     "stribeck wide load": Term("1", "z·exp(−|v|/(3·vs))·|τ|", "wide peak that grows with load"),
     "stribeck memory": Term(TORQUE, "z10·exp(−|v|/(0.3·vs))", "peak with a longer memory"),
-    "braking": Term("1", "|z|·τ", "friction that differs as the load drives or brakes"),
+    "braking": Term("1", "|z|·τ", "difference of friction between driving and braking loads"),
     "drive": Term("1/(N·m)", "τ·|τ|", "current that grows faster than torque"),
     "speed p load": Term("(s/rad)^p", "sign(v)·|v|^p·|τ|", "speed law that grows with load"),
     "speed 1 load": Term("s/rad", "v·|τ|", "viscous friction that grows with load"),
-    "speed 2 load": Term("(s/rad)²", "sign(v)·v²·|τ|", "friction with speed² and load"),
-    "speed braking": Term("s/rad", "|v|·τ", "the same with speed, as the load drives or brakes"),
-    "asymmetry": Term(DAMPING, "|v|", "other viscous friction one way"),
-    "dry asymmetry": Term(TORQUE, "|z|", "other dry friction one way"),
-    "temperature.1": Term("N·m/K", "z·(T − T0)", f"dry friction per kelvin over {_HERE}"),
+    "speed 2 load": Term("(s/rad)²", "sign(v)·v²·|τ|", "friction that grows with speed² and load"),
+    "speed braking": Term(
+        "s/rad", "|v|·τ", "difference of friction between driving and braking loads, times speed"
+    ),
+    "asymmetry": Term(DAMPING, "|v|", "difference of viscous friction between the directions"),
+    "dry asymmetry": Term(TORQUE, "|z|", "difference of dry friction between the directions"),
+    "temperature.1": Term("N·m/K", "z·(T − T0)", f"dry friction per kelvin above {_HERE}"),
     "temperature.2": Term(
-        "N·m·(s/rad)^p/K", "sign(v)·|v|^p·(T − T0)", f"speed law per kelvin over {_HERE}"
+        "N·m·(s/rad)^p/K", "sign(v)·|v|^p·(T − T0)", f"speed law per kelvin above {_HERE}"
     ),
 }
 
 
 def library_term(column: str) -> Term:
-    """A column of `hil.estimators.friction_library`, by the name its coefficient has.
+    """Return the term of a column of `hil.estimators.friction_library`, by its coefficient name.
 
     Raises:
-        KeyError: There is none of that name.
+        KeyError: The coefficient name is unknown.
     """
     words, _, number = column.partition(".") if column[:4] in ("turn", "ripp") else (column, "", "")
     kind, *rest = words.split()
@@ -162,7 +174,7 @@ def library_term(column: str) -> Term:
         return Term(f"N·m·(s/rad)^{rest[0]}", f"sign(v)·|v|^{rest[0]}", "speed law")
     if kind == "turn":
         wave = f"{'sin' if number == '1' else 'cos'}({rest[0]}·q)"
-        return Term(TORQUE, f"z·{wave}" if "dry" in rest else wave, "repeats with the joint's turn")
+        return Term(TORQUE, f"z·{wave}" if "dry" in rest else wave, "periodic in the joint angle")
     if kind == "ripple":
         return _ripple(rest, number)
     return _LIBRARY[column]
@@ -183,17 +195,17 @@ def _ripple(rest: list[str], number: str) -> Term:
 
 _REST_TERMS = {
     "offset": OFFSET,
-    "gain": Term("1", "τ", "error of the drive gain beside the other joints'"),
+    "gain": Term("1", "τ", "error of the drive gain relative to the other joints"),
     "square": Term("1/(N·m)", "τ·|τ|", "current that does not grow linearly with torque"),
     "current_squared": Term("N·m/A²", "i·|i|", "−K2 of τ = K2·i·|i| + K1·i + K0 (paper protocol)"),
 }
 
 
 def rest_term(name: str) -> Term:
-    """A term of friction at rest (`hil.estimators.static_friction`) by name.
+    """Return a term of friction at standstill (`hil.estimators.static_friction`) by its name.
 
     Raises:
-        KeyError: There is none of that name.
+        KeyError: The name of the term is unknown.
     """
     if name.startswith("ripple"):
         turns, wave = name.removeprefix("ripple").split("_")
@@ -205,7 +217,7 @@ def rest_term(name: str) -> Term:
         raise KeyError(name)
     z = "d" if state == "coulomb" else f"z{state.removeprefix('memory')}"
     if not by:
-        return Term(TORQUE, z, "dry friction that the approach has left in the gear")
+        return Term(TORQUE, z, "dry friction that remains in the gear after the approach")
     unit, times, word = {
         "load": ("1", "|τ|", "with load"),
         "temperature": ("N·m/K", "(T − Tm)", "per kelvin"),
@@ -214,21 +226,21 @@ def rest_term(name: str) -> Term:
 
 
 SQUARE = Term("N·m/A²", "i·|i|", "K2 of τ = K2·i·|i| + K1·i + K0; K1 is torque_per_effort")
-"""Of `static-inverse`."""
+"""Quadratic drive term of the estimator `static-inverse`."""
 
 DAHL = (
-    "z: at first 0; from sample to sample z ← σ + (z − σ)·exp(−|Δq|/x0), σ the sign of Δq, where "
-    "Δq·v > 0; elsewhere, and so for v = 0, z stays; z3, z10, …: with 3, 10, … times x0"
+    "z: initially 0; from sample to sample z ← σ + (z − σ)·exp(−|Δq|/x0) if Δq·v > 0, with σ the "
+    "sign of Δq; otherwise, also for v = 0, z is unchanged; z3, z10, …: with 3, 10, … times x0"
 )
 
-SYMBOLS = "vf = ripple_fades_rad_s; T0 = reference_celsius; T = usual_celsius (T0 without)"
+SYMBOLS = "vf = ripple_fades_rad_s; T0 = reference_celsius; T = usual_celsius (T0 if null)"
 V0 = "v0 = least_speed_rad_s"
-SUM = "sum of value × column over the joint's parameters"
-SMOOTH = "s = tanh(v/sign_width_rad_s), the sign of v for 0"
+SUM = "sum of value × column over the parameters of the joint"
+SMOOTH = "s = tanh(v/sign_width_rad_s), or the sign of v if the width is 0"
 
 
 def friction_part(model: RobotEstimator) -> dict[str, Any]:
-    """The law behind the parameters: its name, its formula and its constants."""
+    """Return the friction law of the parameters: its name, its formula and its constants."""
     if isinstance(model, ResidualNetwork):
         return friction_part(model.base_)
     if isinstance(model, RigidHysteresis):
@@ -252,25 +264,25 @@ def friction_part(model: RobotEstimator) -> dict[str, Any]:
         return _law_document("coulomb-viscous", words, False, constants)
     if isinstance(model, StaticFriction):
         return _law_at_rest(model)
-    noise = "friction at rest counts as noise"
+    noise = "friction at standstill is treated as noise"
     if isinstance(model, StaticInverse):
         solved = "gravity = K2·i·|i| + K1·i + K0, solved for the current i; offset is −K0"
         return _law_document("none", f"{solved}; {noise}", False, {})
     if isinstance(model, StaticMlpLm):
         return _law_document(
-            "network", f"{SUM}; friction at rest is what the networks say", False, {}
+            "network", f"{SUM}; friction at standstill is the output of the networks", False, {}
         )
     if isinstance(model, StaticModel):
         return _law_document("none", f"{SUM}; {noise}", False, {})
     return _law_document(
-        "unknown", "of an estimator that this version of hil does not know", False, {}
+        "unknown", "of an estimator that is unknown to this version of hil", False, {}
     )
 
 
 def _network_law(model: LagrangianEstimator) -> dict[str, Any]:
     kind, hard = model.design_.kind, model.design_.friction.sign == "hard"
     if kind not in NETWORK:
-        return _law_document(kind, f"{kind}: no parameters that mean anything", False, {})
+        return _law_document(kind, f"{kind}: a network without interpretable parameters", False, {})
     constants = {} if remembers(model) else {"sign_width_rad_s": 0.0 if hard else model.sign_width}
     sign = DAHL if remembers(model) else SMOOTH
     if kind == "stribeck":
@@ -287,9 +299,9 @@ def _law_document(
 
 
 REST_SYMBOLS = (
-    "d: +1 approached from below, −1 from above; z1, z2, …: Dahl's states with lengths_rad along "
-    "the smoothed path into the pose; τ: the group gear and load, within load_limit_nm; "
-    "N = gear_ratio; Tm = mean_celsius"
+    "d: +1 if the pose was approached from below, −1 from above; z1, z2, …: Dahl's states with "
+    "lengths_rad along the smoothed path into the pose; τ: torque of the group gear and of the "
+    "load, limited to load_limit_nm; N = gear_ratio; Tm = mean_celsius"
 )
 
 
@@ -307,5 +319,5 @@ def _law_at_rest(model: StaticFriction) -> dict[str, Any]:
 
 
 def remembers(model: LagrangianEstimator) -> bool:
-    """Whether friction has Dahl's state for the sign of the velocity."""
+    """Return whether the friction uses Dahl's state in place of the sign of the velocity."""
     return model.length_ is not None and model.design_.friction.sign != "hard"

@@ -1,9 +1,9 @@
-"""The parameters of a fitted model, an `Entry` each: value, unit, uncertainty, column, meaning.
+"""Parameters of a fitted model as entries with value, unit, uncertainty, column and meaning.
 
-`parameters_of` knows every kind of estimator: base parameters and gravity come by the regressor's
-columns, parameters of single joints by the terms of friction (`json_friction`). Uncertainty is
-what the estimator itself states (`Spread`), and nothing else; where there is none, the entry says
-why.
+The function `parameters_of` supports every kind of estimator. Base parameters and gravity have the
+columns of the regressor; parameters of single joints have the terms of friction (`json_friction`).
+The uncertainty of a parameter is the uncertainty that the estimator provides (`Spread`). An entry
+without uncertainty contains the reason for the missing uncertainty.
 """
 
 from __future__ import annotations
@@ -53,9 +53,10 @@ Entry = dict[str, Any]
 
 
 def parameters_of(model: RobotEstimator) -> list[Entry]:
-    """The parameters of a fitted model, those of the physics for a residual network.
+    """Return the parameters of a fitted model; for a residual network, those of its physics.
 
-    Kinds of estimators that are not known here have their `coefficients_`, if any, without units.
+    For estimators of unknown kind, the entries of `coefficients_`, if it exists, are returned
+    without units.
     """
     if isinstance(model, ResidualNetwork):
         return parameters_of(model.base_)
@@ -69,7 +70,7 @@ def parameters_of(model: RobotEstimator) -> list[Entry]:
         return list(_of_static(model))
     names = [str(name) for name in getattr(model, "parameter_names_", ())]
     values = np.asarray(getattr(model, "coefficients_", ()), dtype=np.float64)
-    unknown = Term("", "", "of an estimator that this version of hil does not know")
+    unknown = Term("", "", "of an estimator that is unknown to this version of hil")
     told = spread_of(model) if isinstance(model, WlsEstimator) else Spread.none(len(names))
     pairs = enumerate(zip(names, values.tolist(), strict=False))
     return [entry(name, None, "unknown", x, unknown, told.row(k)) for k, (name, x) in pairs]
@@ -92,7 +93,7 @@ def _of_joints(
     model: RobotEstimator, names: Sequence[str], values: Sequence[float], terms: Mapping[str, Term],
     told: Spread,
 ) -> Iterator[Entry]:  # fmt: skip
-    """Parameters of single joints, named `joint.term`."""
+    """Yield the parameters of single joints, whose names are `joint.term`."""
     torque = torque_unit(model)
     for k, (name, value) in enumerate(zip(names, values, strict=True)):
         joint = max((j for j in model.joint_names_ if name.startswith(f"{j}.")), key=len)
@@ -113,8 +114,10 @@ def _group(word: str, term: Term) -> str:
     return kind if kind in ("offset", "ripple") else "friction"
 
 
-NOT_FITTED = "given, not fitted"
-NOT_TOLD = "the estimator tells no uncertainty of single parameters; see sigma for predictions"
+NOT_FITTED = "set by the user, not fitted"
+NOT_TOLD = (
+    "the estimator computes no uncertainty of single parameters; see sigma for that of predictions"
+)
 
 
 def _of_shapes(model: RigidHysteresis, law: FrictionLaw) -> Iterator[Entry]:
@@ -138,11 +141,14 @@ def _of_lagrangian(model: LagrangianEstimator) -> Iterator[Entry]:
 
 
 def _with_state(term: Term) -> Term:
-    """Dahl's state in the place of the sign."""
+    """Return the term with Dahl's state in place of the sign."""
     return term._replace(column="z" + term.column[1:]) if term.column[0] == "s" else term
 
 
-OUTSIDE = "its uncertainty is not in the standard errors of the others either"
+OUTSIDE = (
+    "not fitted by least squares; the standard errors of the other parameters do not "
+    "include its uncertainty"
+)
 
 
 def _of_rigid_linear(model: RigidLinear) -> Iterator[Entry]:
@@ -188,7 +194,7 @@ def _of_static(model: StaticModel) -> Iterator[Entry]:
 
 
 def torque_unit(model: RobotEstimator) -> str:
-    """`A` where currents were fitted without drive gains, as static models may be."""
+    """Return `A` for a static model fitted to currents without drive gains, else `N·m`."""
     return "A" if isinstance(model, StaticModel) and not model.knows_gains else TORQUE
 
 
@@ -201,7 +207,7 @@ def entry(
     known: tuple[float, list[float], str] = (np.nan, [np.nan, np.nan], NOT_TOLD),
     **more: Any,
 ) -> Entry:
-    """One parameter; what is not known is null, with the reason beside it."""
+    """Return one parameter as an entry, in which unknown values are null and have a reason."""
     std, interval, reason = known
     return {
         "name": name,
@@ -236,7 +242,7 @@ BODY = {
 def of_base(
     robot: RobotModel, base: BaseParameters, values: np.ndarray[Any, Any], group: str, told: Spread
 ) -> Iterator[Entry]:
-    """Base parameters: the column each is multiplied with, and what it is a sum of."""
+    """Yield base parameters, each with its regressor column and its combination of parameters."""
     columns = robot.parameter_names(rotor=True)
     turns = robot.joint_geometry().turns
     for k, kept in enumerate(base.independent):
@@ -247,7 +253,9 @@ def of_base(
         folded = zip(base.dependent, base.combination[k], strict=True)
         sums = {column: 1.0} | {columns[i]: float(share) for i, share in folded if share}
         unit = "kg" if kind == "Ia" and not turns[joint] else unit
-        more = " with all that torques cannot tell from it" if len(sums) > 1 else ""
+        more = (
+            " and all parameters that torques cannot distinguish from it" if len(sums) > 1 else ""
+        )
         term = Term(unit, column, meaning.format(link) + more)
         yield entry(
             base.names[k], robot.joint_names[joint], group, float(values[k]), term, told.row(k),
@@ -269,13 +277,13 @@ PAPER = {
     "joint4.phi2": (("cos", (2, 3, 4)), ("sin", (5,))),
     "joint5.phi1": (("sin", (2, 3, 4)), ("cos", (5,))),
 }
-"""Eq. 15 of the static paper as products of waves of sums of joint angles, from 1."""
+"""Factors of each term of eq. 15, static paper: sine or cosine of a sum of joint angles."""
 
 
 def paper_entry(
     model: StaticModel, name: str, value: float, torque: str, known: tuple[float, list[float], str]
 ) -> Entry:
-    """One of eq. 15's parameters, by the name that `PaperGravity` has for it."""
+    """Return the entry for one parameter of eq. 15, by its name in `PaperGravity`."""
     joint = model.joint_names_[int(name[5]) - 1]
     waves = PAPER[name]
     text = "·".join(f"{f}({'+'.join(f'q{i}' for i in joints)})" for f, joints in waves)
@@ -285,12 +293,12 @@ def paper_entry(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Of p coefficients.
+    """Uncertainty of p coefficients.
 
     Attributes:
-        std: (p,) standard errors; NaN where there is none.
-        interval: (p, 2) ends of 95 %; NaN where there is none.
-        reasons: Length p, why something is missing; empty where nothing is.
+        std: (p,) standard errors; NaN if unknown.
+        interval: (p, 2) lower and upper limits of the 95 % confidence intervals; NaN if unknown.
+        reasons: List of p reasons for missing values, each empty if no value is missing.
     """
 
     std: FloatArray
@@ -299,31 +307,31 @@ class Spread:
 
     @staticmethod
     def none(p: int, reason: str = NOT_TOLD) -> Spread:
-        """Nothing known of p parameters."""
+        """Return an unknown uncertainty of p parameters, with a reason."""
         return Spread(np.full(p, np.nan), np.full((p, 2), np.nan), (reason,) * p)
 
     def after(self, k: int) -> Spread:
-        """Of the coefficients from the k-th on."""
+        """Return the uncertainty of the coefficients from number k on."""
         return Spread(self.std[k:], self.interval[k:], self.reasons[k:])
 
     def row(self, k: int) -> tuple[float, list[float], str]:
-        """Standard error, interval and reason of one coefficient."""
+        """Return standard error, interval and reason of one coefficient."""
         return float(self.std[k]), self.interval[k].tolist(), self.reasons[k]
 
 
-NO_DEGREES = "the estimator tells standard errors, but no degrees of freedom for an interval"
+NO_DEGREES = "the estimator computes standard errors, but no degrees of freedom for an interval"
 
 NOT_OF_METHOD = (
-    "bounds, penalties and fitted exponents have no covariance of least squares; std is that of "
+    "least squares has no covariance for bounds, penalties and fitted exponents; std is that of "
     "least squares without them"
 )
 
-NOT_ESTIMATED = "left out of the fit: its value is 0"
-PULLED = "a penalty, or noise in the columns, pulls by more than any scatter tells"
+NOT_ESTIMATED = "excluded from the fit: the value is 0"
+PULLED = "biased by a penalty or by noise in the columns, by more than the scatter shows"
 
 
 def spread_of(model: RobotEstimator) -> Spread:
-    """Of `coefficients_`, as `std_error_` and `interval` of the model say it."""
+    """Return the uncertainty of `coefficients_`, from `std_error_` and `interval` of the model."""
     if not isinstance(model, WlsEstimator):
         return Spread.none(0)
     std, missing = np.asarray(model.std_error_), ""
@@ -344,7 +352,7 @@ def spread_of(model: RobotEstimator) -> Spread:
 
 
 def conditions_of(model: RobotEstimator) -> dict[str, Any] | None:
-    """What standard errors take for granted and leave out, as `model.json` has it."""
+    """Return the assumptions and limits of the standard errors, as `model.json` contains them."""
     told = model.fitted_facts().get("std_error")
     if not isinstance(told, dict):
         return None

@@ -1,11 +1,11 @@
-"""A reader of JSON documents without hil: torques and friction from their numbers alone.
+"""Reader of JSON documents that does not need hil: torques and friction from a document's numbers.
 
-Nothing but numpy is imported, so this file can be copied to where documents are used. The check of
-every export reads its document with it.
+The module `json_reader` imports only numpy, so it can be copied to other projects. Every JSON
+export reads its document with `json_reader` as a check.
 
-`rigid_torque` is Newton–Euler with the base parameters. `friction_torque` sums up parameter times
-column, and a column is computed as it is written, such as `z·exp(−|v|/vs)`; states that remember
-begin with the first sample.
+`rigid_torque` evaluates the recursive Newton–Euler equations with the base parameters.
+`friction_torque` sums the products of parameters and columns. The reader evaluates a column from
+its formula, such as `z·exp(−|v|/vs)`. Friction states with memory start at the first sample.
 """
 
 import re
@@ -19,24 +19,25 @@ Array = NDArray[np.float64]
 Document = dict[str, Any]
 
 BODY = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-"""Parameters of a link about the origin of its joint's frame; `Ia` is its rotor's inertia."""
+"""Names of the link parameters about the origin of the joint frame; `Ia` is the rotor inertia."""
 
 
 def rigid_torque(
     document: Document, q: Array, qd: Array, qdd: Array, group: str = "rigid",
     load: Array | None = None, links: Array | None = None,
 ) -> Array:  # fmt: skip
-    """(N, n) torque of gravity and inertia [N·m], by recursive Newton–Euler.
+    """Return the torque (N, n) of gravity and inertia [N·m], by recursive Newton–Euler.
 
     Args:
-        document: As exported.
-        q: (N, n), with qd and qdd the motion.
-        qd: (N, n).
-        qdd: (N, n).
-        group: Which base parameters: `rigid`, `gear` or `gravity`.
-        load: (10,) mass, centre and inertia about it (xx, yy, zz, xy, xz, yz) in the flange's
-            frame.
-        links: (n, 11) in place of base parameters, such as `links_of`.
+        document: Exported document.
+        q: (N, n) position.
+        qd: (N, n) velocity.
+        qdd: (N, n) acceleration.
+        group: Name of the group of base parameters: `rigid`, `gear` or `gravity`.
+        load: (10,) mass, centre of mass and inertia about the centre of mass (xx, yy, zz, xy, xz,
+            yz) in the flange frame.
+        links: (n, 11) link parameters that replace the base parameters, such as the result of
+            `links_of`.
     """
     robot = document["robot"]
     bodies = base_bodies(document, group) if links is None else links.copy()
@@ -50,7 +51,7 @@ def rigid_torque(
 
 
 def _newton_euler(robot: Document, bodies: Array, q: Array, qd: Array, qdd: Array) -> Array:
-    """(N, n) torques of a motion (N, n): out along the chain with motion, back with forces."""
+    """Return the torques (N, n): motion is propagated outwards along the chain, forces inwards."""
     N, n = q.shape
     w, dw, a = np.zeros((N, 3)), np.zeros((N, 3)), np.tile(-np.array(robot["gravity_m_s2"]), (N, 1))
     places, forces, moments = [], [], []
@@ -82,7 +83,7 @@ def _newton_euler(robot: Document, bodies: Array, q: Array, qd: Array, qdd: Arra
 
 
 def _turned(axis: Array, angle: Array) -> Array:
-    """(N, 3, 3) rotations about an axis of length 1 by angles (N,), Rodrigues."""
+    """Return rotations (N, 3, 3) about a unit axis by angles (N,) (Rodrigues)."""
     x, y, z = axis
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     sine, rest = np.sin(angle)[:, None, None], 1.0 - np.cos(angle)[:, None, None]
@@ -94,7 +95,7 @@ def _back(R: Array, x: Array) -> Array:
 
 
 def _matrix(told: Array) -> Array:
-    """(3, 3) from xx, yy, zz, xy, xz, yz."""
+    """Return a symmetric matrix (3, 3) from xx, yy, zz, xy, xz, yz."""
     xx, yy, zz, xy, xz, yz = told
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
@@ -104,7 +105,7 @@ def _forth(R: Array, x: Array) -> Array:
 
 
 def base_bodies(document: Document, group: str = "rigid") -> Array:
-    """(n, 11) the links with these base parameters whose other parameters are 0."""
+    """Return links (n, 11) with the passed base parameters; all other parameters are 0."""
     bodies = np.zeros((len(document["robot"]["joints"]), 11))
     for one in document["parameters"]:
         if one["group"] == group:
@@ -114,7 +115,7 @@ def base_bodies(document: Document, group: str = "rigid") -> Array:
 
 
 def links_of(document: Document) -> Array:
-    """(n, 11) of `links`, about the origins of the joints' frames."""
+    """Return the entries `links` as (n, 11), about the origins of the joint frames."""
     rows = []
     for link in document["links"]["values"]:
         body = _about_origin(link["mass_kg"], link["com_m"], _matrix(link["inertia_kgm2"]))
@@ -123,14 +124,14 @@ def links_of(document: Document) -> Array:
 
 
 def _about_origin(mass: float, com: Array, inertia: Array) -> Array:
-    """(10,) in the order of `BODY` from an inertia about the centre of mass."""
+    """Return ten body parameters, ordered as `BODY`, from the inertia about the centre of mass."""
     c = np.array(com)
     whole = inertia + mass * (c @ c * np.eye(3) - np.outer(c, c))
     return np.array([mass, *(mass * c), *whole[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
 
 
 def combined(document: Document, group: str = "rigid") -> Array:
-    """(b, 2) base parameters, and the sums of the links' parameters that they should be."""
+    """Return (b, 2): each base parameter, and the combination of link parameters that it equals."""
     links, rows = links_of(document), []
     for one in document["parameters"]:
         if one["group"] == group:
@@ -143,13 +144,13 @@ def combined(document: Document, group: str = "rigid") -> Array:
 
 
 def load_at(flange: Array, load: Array) -> Array:
-    """(10,) a load in the frame of the last joint, the flange's pose (4, 4) being known."""
+    """Return a load (10,) in the frame of the last joint, from the flange pose (4, 4)."""
     R, p = flange[:3, :3], flange[:3, 3]
     return _about_origin(load[0], R @ load[1:4] + p, R @ _matrix(load[4:]) @ R.T)
 
 
 def paper_gravity(document: Document, q: Array) -> Array:
-    """(N, n) gravity by eq. 15 of the static paper, from products of waves of sums of angles."""
+    """Return the gravity torque (N, n) by eq. 15 of the static paper."""
     out, names = np.zeros_like(q), [joint["name"] for joint in document["robot"]["joints"]]
     for one in document["parameters"]:
         if one["group"] == "gravity":
@@ -162,14 +163,14 @@ def paper_gravity(document: Document, q: Array) -> Array:
 
 
 def of_joints(document: Document, word: str) -> Array:
-    """(n,) the parameter `joint.word` of every joint, 0 where there is none."""
+    """Return the parameter `joint.word` (n,) of every joint; 0 for joints without it."""
     told = {one["name"]: one["value"] for one in document["parameters"]}
     names = [joint["name"] for joint in document["robot"]["joints"]]
     return np.array([told.get(f"{name}.{word}", 0.0) for name in names])
 
 
 def torque_per_effort(document: Document) -> Array:
-    """(n,) drive gains; 1 where nobody knew them, or efforts are torques."""
+    """Return the drive gains (n,), which are 1 if they are unknown or efforts are torques."""
     told = document["effort"]["torque_per_effort"]["values"]
     return np.ones(len(document["robot"]["joints"])) if told is None else np.array(told)
 
@@ -190,23 +191,26 @@ CONSTANTS = {
     "Tm": "mean_celsius",
     "N": "gear_ratio",
 }
-"""Symbol → key of the document's `friction.constants`, where it has it."""
+"""Mapping from symbol to key of `friction.constants`; not every document has every key."""
 
 SUMMED = ("friction", "offset", "ripple", "drive")
-"""Groups of parameters that are multiplied with their columns."""
+"""Names of the groups of parameters that are multiplied by their columns."""
 
 
 def friction_torque(
     document: Document, q: Array, qd: Array, tau: Array, known: Mapping[str, Array] | None = None
 ) -> Array:
-    """(N, n) all that joints have for themselves: friction, offset, ripple and drive [N·m].
+    """Return the sum (N, n) of friction, offset, ripple and drive terms of each joint [N·m].
 
     Args:
-        document: As exported.
-        q: (N, n) sample after sample: friction with memory begins with the first.
-        qd: (N, n).
-        tau: (N, n) torque through the gears: `rigid_torque` of the group `gear`, with the load.
-        known: Symbols (N, n) that are not computed from these: `i`, or `d`, `z1`, … at rest.
+        document: Exported document.
+        q: (N, n) positions of consecutive samples; the order matters, because friction can have
+            memory.
+        qd: (N, n) velocity.
+        tau: (N, n) torque through the gears, which is `rigid_torque` of the group `gear`, with the
+            load.
+        known: Mapping from symbol to values (N, n), for symbols that are not computed from the
+            motion: `i`, or `d`, `z1`, … at standstill.
     """
     names = [joint["name"] for joint in document["robot"]["joints"]]
     limit = document["friction"]["constants"].get("load_limit_nm")
@@ -224,7 +228,7 @@ def friction_torque(
 
 
 def _symbols(document: Document, j: int, motion: Mapping[str, Array]) -> dict[str, Any]:
-    """What columns of joint j may name, but for Dahl's states."""
+    """Return the values of the symbols in columns of joint j, except Dahl's states."""
     constants, joint = document["friction"]["constants"], document["robot"]["joints"][j]["name"]
     found: dict[str, Any] = {name: values[:, j] for name, values in motion.items()}
     for symbol, key in CONSTANTS.items():
@@ -244,7 +248,7 @@ def _of(value: Any, j: int) -> Any:
 
 
 def _dahl(q: Array, v: Array, length: float) -> Array:
-    """(N,) state of one joint; only way that goes with the velocity counts."""
+    """Return Dahl's state (N,) of a joint; only displacements along the velocity change it."""
     out, z = np.zeros_like(q), 0.0
     for k in range(1, len(q)):
         way = q[k] - q[k - 1]
@@ -261,28 +265,28 @@ def _length(state: str, shortest: float) -> float:
 
 
 def column(text: str, symbols: Mapping[str, Any]) -> Any:
-    """A column as it is written, such as `z·exp(−|v|/vs)`.
+    """Evaluate the formula of a column, such as `z·exp(−|v|/vs)`.
 
     Raises:
-        ValueError: It cannot be read.
-        KeyError: A symbol is not known.
+        ValueError: The formula is invalid.
+        KeyError: A symbol of the formula is unknown.
     """
     tokens, at = [], 0
     while at < len(text.rstrip()):
         found = TOKEN.match(text, at)
         if found is None:
-            raise ValueError(f"column {text!r}: what is {text[at:]!r}?")
+            raise ValueError(f"column {text!r}: cannot parse {text[at:]!r}")
         tokens.append(found[1])
         at = found.end()
     tokens.reverse()
     value = _sum(tokens, symbols)
     if tokens:
-        raise ValueError(f"column {text!r}: {tokens[-1]!r} is too much")
+        raise ValueError(f"column {text!r}: unexpected {tokens[-1]!r}")
     return value
 
 
 def _sum(tokens: list[str], symbols: Mapping[str, Any]) -> Any:
-    """Tokens are taken from the end, where the text begins."""
+    """Evaluate a sum from a reversed list of tokens, whose last token is the first of the text."""
     minus = tokens[-1] == "−" and bool(tokens.pop())
     value = _product(tokens, symbols)
     value = -value if minus else value
@@ -315,24 +319,29 @@ def _atom(tokens: list[str], symbols: Mapping[str, Any]) -> Any:
     if first not in CALLS and first not in "(|":
         return symbols[first]
     if first in CALLS:
-        tokens.pop()  # its bracket
+        tokens.pop()  # opening bracket
     given = [_sum(tokens, symbols)]
     while tokens[-1] == ",":
         tokens.pop()
         given.append(_sum(tokens, symbols))
-    tokens.pop()  # what closes
+    tokens.pop()  # closing bracket
     if first == "|":
         return np.abs(given[0])
     return CALLS[first](*given) if first in CALLS else given[0]
 
 
 def symbols_of(text: str) -> set[str]:
-    """Symbols that a column names."""
+    """Return the symbols in the formula of a column."""
     return set(re.findall(NAME, text)) - CALLS.keys()
 
 
 def rest_states(paths: Array, lengths: list[float]) -> dict[str, Array]:
-    """`d`, `z1`, `z2`, … (N, n) of joints that came to rest by smoothed paths (N, K, n) to 0."""
+    """Return `d`, `z1`, `z2`, … (N, n) for joints that came to a standstill.
+
+    Args:
+        paths: (N, K, n) smoothed paths of the joints into the poses, relative to the poses.
+        lengths: Characteristic lengths of Dahl's states.
+    """
     found = {"d": -np.sign(paths[:, 0])}
     steps = np.diff(np.concatenate([paths, np.zeros_like(paths[:, :1])], axis=1), axis=1)
     for k, length in enumerate(lengths):

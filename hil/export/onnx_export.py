@@ -1,8 +1,8 @@
-"""A fitted model as one ONNX file: its PyTorch module, traced into standard operators.
+"""Export of a fitted model as one ONNX file: its PyTorch module, traced to standard operators.
 
-Small runtimes take little: few operators, fixed shapes but for the leading rows, no subgraph. So
-the traced graph is cleaned of what the tracer noted, and refused if anything else is left in it
-(`require_plain`).
+Small ONNX runtimes support few operators, no subgraphs, and fixed shapes except the number of rows
+(first dimension). The export removes the annotations of the tracer from the graph, and rejects a
+graph with features that small runtimes do not support (`require_plain`).
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ if TYPE_CHECKING:
 
 
 OPSET = 20
-"""TF3820 takes 21 at most."""
+"""ONNX opset of exported files; TwinCAT TF3820 supports at most opset 21."""
 
 NEEDED = ("torch", "onnx", "onnxscript", "onnxruntime")
-"""Of the extra `onnx`: to trace, to write, to check."""
+"""Names of the packages of the extra `onnx`, which trace, write and check a graph."""
 
 
 def export_onnx(model: RobotEstimator, out: Path) -> Exported:
-    """Write a model as ONNX, after onnxruntime has said with it what the model says.
+    """Write a model as ONNX, after comparing it with the Python model in onnxruntime.
 
     Args:
-        model: Fitted.
-        out: File to be made; `.onnx` by custom.
+        model: Fitted model.
+        out: File that is created, usually with the extension `.onnx`.
 
     Raises:
-        FitError: The model is of a kind that is not exported, or the graph does not agree, or is
-            not what small runtimes take.
-        PluginError: Something of the extra `onnx` is not installed.
-        RecordingError: The file exists already, or cannot be made.
+        FitError: The estimator cannot be exported, the graph does not agree with the model, or
+            small runtimes do not support the graph.
+        PluginError: A package of the extra `onnx` is not installed.
+        RecordingError: The file already exists, or cannot be created.
     """
     require_new(out)
     require_onnx()
@@ -61,20 +61,20 @@ def export_onnx(model: RobotEstimator, out: Path) -> Exported:
 
 
 def require_onnx() -> None:
-    """Refuse without what it takes.
+    """Raise if a required package is not installed.
 
     Raises:
-        PluginError: The extra `onnx` is missing, or part of it.
+        PluginError: The extra `onnx`, or one of its packages, is not installed.
     """
     if missing := [name for name in NEEDED if find_spec(name) is None]:
         raise plugins.not_installed("--to onnx", missing, "onnx")
 
 
 def graph(traced: TorchModel) -> bytes:
-    """The file's content: opset 20, static shapes but for the leading rows.
+    """Return the content of the ONNX file: opset 20, fixed shapes except the number of rows.
 
     Raises:
-        FitError: It has operators or shapes that small runtimes lack.
+        FitError: The graph has operators or shapes that small runtimes do not support.
     """
     import torch
 
@@ -101,7 +101,7 @@ def graph(traced: TorchModel) -> bytes:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the tracer's word on torchvision and on its own deprecations."""
+    """Suppress warnings of the tracer about torchvision and about deprecated functions."""
     log = logging.getLogger("torch.onnx")
     level = log.level
     log.setLevel(logging.ERROR)
@@ -114,14 +114,14 @@ def _quiet() -> Iterator[None]:
 
 
 def nodes(content: bytes) -> int:
-    """How many operations the graph has."""
+    """Return the number of operations in the graph."""
     import onnx
 
     return len(onnx.load_from_string(content).graph.node)
 
 
 def loaded(content: bytes) -> Step:
-    """The graph under onnxruntime, on one thread of the CPU."""
+    """Return the graph as a function, which onnxruntime runs on one CPU thread."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -137,10 +137,10 @@ def loaded(content: bytes) -> Step:
 
 
 ROWS = "rows"
-"""Name of the leading dimension, the only one that is not fixed."""
+"""Name of the leading dimension, which is the only variable dimension."""
 
 NEWEST_OPSET, NEWEST_IR = 21, 10
-"""What TF3820 and an onnxruntime of its age load."""
+"""Newest opset and format version that TF3820 and an onnxruntime of the same age support."""
 
 OPERATORS = frozenset({
     "Abs", "Add", "Cast", "Concat", "Cos", "Div", "Exp", "Gemm", "Greater", "Log", "MatMul", "Max",
@@ -148,18 +148,18 @@ OPERATORS = frozenset({
     "Slice", "Softplus", "Split", "Sqrt", "Squeeze", "Sub", "Tanh", "Transpose", "Unsqueeze",
     "Where",
 })  # fmt: skip
-"""All that exported graphs are made of: none gathers, scatters, branches or asks for shapes."""
+"""Operators in exported graphs, without gathers, scatters, branches and shape queries."""
 
 TRIED = (1, 3)
-"""Rows with which every shape has to follow from those of the inputs."""
+"""Numbers of rows with which a graph is checked: every shape must follow from the input shapes."""
 
 
 def cleaned(model: onnx.ModelProto, told: Mapping[str, str]) -> onnx.ModelProto:
-    """A copy that says what it is, and nothing of where and from which lines it was traced.
+    """Return a copy of the graph with metadata, and without annotations about the source code.
 
     Args:
-        model: As it was traced.
-        told: Becomes `metadata_props`.
+        model: Traced model.
+        told: Metadata of the file (`metadata_props`).
     """
     import onnx
 
@@ -179,12 +179,12 @@ def cleaned(model: onnx.ModelProto, told: Mapping[str, str]) -> onnx.ModelProto:
 
 
 def require_plain(model: onnx.ModelProto) -> None:
-    """Refuse a graph that is not valid, or not what restricted runtimes take.
+    """Raise if a graph is invalid, or if restricted runtimes do not support it.
 
     Raises:
-        FitError: There is an operator of another domain or beyond `OPERATORS`, a subgraph, a format
-            that is too new, an input or output that is open but for its leading rows, or a shape
-            that is known no sooner than when it runs.
+        FitError: The graph contains an operator of a different domain or outside `OPERATORS`, a
+            subgraph, a format that is too new, an input or output with a variable dimension other
+            than the number of rows, or a shape that is only known at run time.
     """
     import onnx
 
@@ -195,7 +195,8 @@ def require_plain(model: onnx.ModelProto) -> None:
     strange += [f"format {model.ir_version}"] * (model.ir_version > NEWEST_IR)
     if strange:
         raise FitError(
-            f"the ONNX graph has what small runtimes lack: {', '.join(sorted(set(strange)))}",
+            "the ONNX graph has elements that small runtimes do not support: "
+            f"{', '.join(sorted(set(strange)))}",
             hint=FAULT,
         )
     try:
@@ -212,7 +213,7 @@ def require_plain(model: onnx.ModelProto) -> None:
 
 
 def nodes_of(graph: onnx.GraphProto) -> Iterator[onnx.NodeProto]:
-    """All nodes, those of subgraphs among them."""
+    """Yield all nodes, including those of subgraphs."""
     for node in graph.node:
         yield node
         for attribute in node.attribute:
@@ -221,7 +222,7 @@ def nodes_of(graph: onnx.GraphProto) -> Iterator[onnx.NodeProto]:
 
 
 def open_ends(model: onnx.ModelProto) -> list[str]:
-    """Inputs and outputs with anything open but a leading dimension named `rows`."""
+    """Return inputs and outputs with a variable dimension other than a leading `rows`."""
     found = []
     for value in (*model.graph.input, *model.graph.output):
         first, *others = value.type.tensor_type.shape.dim or [None]
@@ -232,7 +233,7 @@ def open_ends(model: onnx.ModelProto) -> list[str]:
 
 
 def unknown_shapes(model: onnx.ModelProto, rows: int) -> list[str]:
-    """Values whose shape does not follow from the inputs', with that many rows."""
+    """Return the values whose shape does not follow from inputs with the passed number of rows."""
     import onnx
 
     fixed = onnx.ModelProto()

@@ -1,9 +1,11 @@
-"""A chain of fully connected layers as ONNX, for runtimes that know nothing else (TwinCAT TF38x0).
+"""Export of fully connected layers as ONNX, for runtimes without other operators (TwinCAT TF38x0).
 
-One input, one `Gemm` after another with an activation between, one output: float32, an old opset,
-scaling folded into the first and the last layer. Such runtimes know no products of what they
-computed, no convolution and no memory, so this is never a whole dynamics: of `static-mlp-lm` it is
-the friction, of `lagrangian` what its torque is the derivative of.
+The graph has one input, a sequence of `Gemm` nodes with activations between them, and one output.
+The numbers of the graph are float32, the opset is old, and the scaling is part of the first and the
+last layer. Runtimes such as TF38x0 support no products of intermediate results, no convolutions and
+no memory. The exported layers are therefore never the complete dynamics of an arm. For
+`static-mlp-lm` the exported layers compute the friction, and for `lagrangian` the functions whose
+derivatives give the torque.
 """
 
 from __future__ import annotations
@@ -26,24 +28,27 @@ from hil.export.program import LagrangianTerms, lagrangian_terms
 from hil.networks import LagrangianEstimator, StaticMlpLm, position_inputs, positions_only
 
 OPSET, IR_VERSION = 13, 7
-"""The oldest that have every operator as it is used here: converters lag behind ONNX."""
+"""Oldest ONNX versions with every operator in the required form; converters lag behind ONNX."""
 
 LIBRARIES = ("onnx", "onnxruntime")
 
 
 def export_onnx_mlp(model: RobotEstimator, out: Path) -> Exported:
-    """Write what is a chain of fully connected layers in a model, after onnxruntime has agreed.
+    """Write the fully connected layers of a model, after a comparison in onnxruntime.
 
-    Input `q` (rows, n) [rad]; outputs (rows, m) with names and units in the file's metadata.
+    The input of the graph is `q` (rows, n) [rad]. The outputs of the graph are (rows, m); the
+    metadata of the file contain their names and units.
 
     Args:
-        model: Fitted: `static-mlp-lm` (its friction) or `lagrangian` (its trunk).
-        out: File to be made.
+        model: Fitted model: `static-mlp-lm` (its friction is exported) or `lagrangian` (its trunk
+            is exported).
+        out: File that is created.
 
     Raises:
-        FitError: The model holds no such chain, or the file does not agree with it.
-        PluginError: onnx or onnxruntime is not installed.
-        RecordingError: The file exists already, or cannot be made.
+        FitError: The model contains no fully connected layers of this kind, or the file does not
+            agree with the model.
+        PluginError: The package onnx or onnxruntime is not installed.
+        RecordingError: The file already exists, or cannot be created.
     """
     require_new(out)
     chain = chain_of(model)
@@ -59,7 +64,7 @@ def export_onnx_mlp(model: RobotEstimator, out: Path) -> Exported:
 
 
 def _told(model: RobotEstimator, chain: Chain) -> dict[str, str]:
-    """What the file says of itself."""
+    """Return the metadata of the ONNX file."""
     lists = {
         "inputs": model.joint_names_,
         "input_units": tuple("rad" if one else "m" for one in model.robot_.joint_geometry().turns),
@@ -67,7 +72,7 @@ def _told(model: RobotEstimator, chain: Chain) -> dict[str, str]:
         "output_units": chain.units,
         "notes": chain.notes,
     }
-    # A path says where somebody keeps files, not what robot it is.
+    # Only the file name: the folder is private and does not identify the robot.
     robot = Path(model.robot_.name).name
     words = {"estimator": model.estimator, "robot": robot, "part": chain.part}
     return words | {name: json.dumps(all_, ensure_ascii=False) for name, all_ in lists.items()}
@@ -99,13 +104,13 @@ def _onnx_file(chain: Chain, n: int, told: dict[str, str]) -> bytes:
 
 
 OPERATORS = {"softplus": "Softplus", "relu": "Relu", "tanh": "Tanh", "sin": "Sin", "linear": ""}
-"""Activations that all runtimes of this kind know, as ONNX calls them; a chain adds no others."""
+"""Mapping from activation to ONNX operator; all runtimes such as TF38x0 support the operators."""
 
 
 def _add(
     layer: Layer, number: int, at: str, last: str, nodes: list[Any], constants: list[Any]
 ) -> str:
-    """Append a layer; where its values are."""
+    """Append a layer to the nodes and constants of a graph; return the name of its output."""
     from onnx import helper, numpy_helper
 
     names = [f"weight{number}", f"bias{number}"]
@@ -122,24 +127,24 @@ def _add(
 
 
 def _checked(content: bytes, chain: Chain, q: FloatArray) -> str:
-    """How well onnxruntime agrees with the model.
+    """Return a text with the largest difference between onnxruntime and the model.
 
     Raises:
-        FitError: It does not.
+        FitError: The largest difference exceeds the tolerance.
     """
     wanted = chain.says(q)
     off = np.abs(onnxruntime_says(content)(q) - wanted).max(axis=0)
     worst = float(np.max(off / scale_of(wanted)))
     if not worst <= AGREES:
         raise FitError(
-            f"the ONNX file does not agree with the model: off by {worst:.1e}",
+            f"the ONNX file does not agree with the model: largest difference {worst:.1e}",
             hint=FAULT,
         )
     return f"onnxruntime: largest difference {worst:.2e} of each output's largest value"
 
 
 def onnxruntime_says(content: bytes) -> Callable[[FloatArray], FloatArray]:
-    """The file of a chain as a function of q (N, n)."""
+    """Return the content of an ONNX file as a function of q (N, n), which onnxruntime computes."""
     import onnxruntime
 
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
@@ -152,12 +157,12 @@ def onnxruntime_says(content: bytes) -> Callable[[FloatArray], FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """activation(x @ weight + bias).
+    """Fully connected layer: activation(x @ weight + bias).
 
     Attributes:
-        weight: (inputs, outputs).
-        bias: (outputs,).
-        activation: A name in `OPERATORS`.
+        weight: (inputs, outputs) weights.
+        bias: (outputs,) biases.
+        activation: Name of the activation function in `OPERATORS`.
     """
 
     weight: FloatArray
@@ -167,15 +172,15 @@ class Layer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """Layers from q (N, n) [rad] to outputs (N, m), and what they mean.
+    """Sequence of layers from q (N, n) [rad] to outputs (N, m), and the meaning of the outputs.
 
     Attributes:
-        layers: One behind the other.
-        says: What the model in Python says, q (N, n) to (N, m).
-        part: Of the model, in a few words.
-        output: Name of the outputs together.
-        outputs, units: m names and units.
-        notes: What has to be known to use them.
+        layers: List of the layers in their order.
+        says: Function of the Python model that computes the same outputs (N, m) from q (N, n).
+        part: Short description of the exported part of the model.
+        output: Common name of the outputs.
+        outputs, units: Names and units of the m outputs.
+        notes: Notes on the use of the outputs.
     """
 
     layers: tuple[Layer, ...]
@@ -188,10 +193,10 @@ class Chain:
 
 
 def chain_of(model: RobotEstimator) -> Chain:
-    """The chain in a fitted model.
+    """Return the fully connected layers of a fitted model.
 
     Raises:
-        FitError: It is not fitted, or neither is nor holds one.
+        FitError: The model is not fitted, or contains no sequence of fully connected layers.
     """
     if not hasattr(model, "sigma_"):
         raise FitError(f"{model.estimator} is not fitted yet", hint="call fit first")
@@ -200,9 +205,10 @@ def chain_of(model: RobotEstimator) -> Chain:
     if isinstance(model, LagrangianEstimator):
         return _trunk(model)
     raise FitError(
-        f"{model.estimator} is no chain of fully connected layers",
-        hint="onnx-mlp takes static-mlp-lm (its friction) and lagrangian (its trunk); whole models "
-        "are written with --to c for a controller, with --to onnx for onnxruntime and TF3820",
+        f"{model.estimator} is not a chain of fully connected layers",
+        hint="onnx-mlp supports static-mlp-lm (its friction) and lagrangian (its trunk); export "
+        "whole models with --to c for a controller, or with --to onnx for onnxruntime and "
+        "TF3820",
     )
 
 
@@ -211,22 +217,25 @@ def _static(model: StaticMlpLm) -> Chain:
     if not positions_only(names):
         raise FitError(
             f"the network has the inputs {', '.join(names)}, not all of which are positions",
-            hint="fit static-mlp-lm with inputs of q alone, such as [q2, q3, q4, q5]",
+            hint="fit static-mlp-lm with position inputs only, such as [q2, q3, q4, q5]",
         )
     unit, slides = effort_unit(model.effort_kind_), ~model.robot_.joint_geometry().turns
     return Chain(
         _side_by_side(model, position_inputs(np.eye(model.robot_.n), names)),
         lambda q: model.networks_.predict(position_inputs(q, names)),
-        "its friction at standstill alone",
+        "its friction at standstill only",
         "friction",
         model.joint_names_,
         tuple("N" if one and unit != "A" else unit for one in slides),
-        ("friction of an arm at rest, which adds to gravity; it is not the effort",),
+        ("the output is friction at standstill, to be added to gravity; it is not the effort",),
     )
 
 
 def _side_by_side(model: StaticMlpLm, chosen: FloatArray) -> tuple[Layer, ...]:
-    """All joints' networks as one, scaling folded in; `chosen` (n, d) picks inputs from q."""
+    """Return the networks of all joints combined into one network that includes the scaling.
+
+    The matrix `chosen` (n, d) selects the inputs from q.
+    """
     networks = model.networks_
     scaling, mlp, count = networks.scaling, networks.mlp, len(networks.weights)
     mean, scale = (np.broadcast_to(v, (count, v.shape[1]))
@@ -246,7 +255,10 @@ def _side_by_side(model: StaticMlpLm, chosen: FloatArray) -> tuple[Layer, ...]:
 
 
 def _scaled(layers: list[Layer], scale: FloatArray, mean: FloatArray) -> tuple[Layer, ...]:
-    """What comes out times `scale` plus `mean`, in a layer of its own only if it has to be."""
+    """Return layers whose output is multiplied by `scale` and shifted by `mean`.
+
+    A separate layer is added only if the last layer is not linear.
+    """
     last = layers[-1]
     if last.activation != "linear":
         return (*layers, Layer(np.diag(scale), mean))
@@ -257,7 +269,7 @@ def _trunk(model: LagrangianEstimator) -> Chain:
     terms = lagrangian_terms(model)
     if terms.activation not in OPERATORS:
         raise FitError(
-            f"the network has {terms.activation} layers, which multiply what they computed",
+            f"the network has {terms.activation} layers, which multiply intermediate results",
             hint="fit lagrangian with network: {activation: softplus}, tanh or relu",
         )
     turns = model.robot_.joint_geometry().turns
@@ -268,8 +280,8 @@ def _trunk(model: LagrangianEstimator) -> Chain:
     if terms.sincos:
         layers.insert(0, _turned(model.robot_.n))
     return Chain(
-        tuple(layers), _trunk_says(model, scale), "its trunk alone", "lagrangian", names, units,
-        ("the trunk q → (L, V), not the torque: that takes its derivatives",
+        tuple(layers), _trunk_says(model, scale), "its trunk only", "lagrangian", names, units,
+        ("the output is the trunk q → (L, V), not the torque, which needs its derivatives",
          _formula(terms, turns)),
     )  # fmt: skip
 
@@ -277,7 +289,7 @@ def _trunk(model: LagrangianEstimator) -> Chain:
 def _outputs(
     terms: LagrangianTerms, joints: Sequence[str], turns: BoolArray
 ) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray]:
-    """Names, units and what to multiply raw outputs by; L's diagonal stays raw."""
+    """Return names, units and factors of the raw outputs; the diagonal of L is not scaled."""
     n = len(joints)
     below = [(i, j) for i in range(n) for j in range(i)]
     lows = [f"L{i + 1},{j + 1}" for i, j in below]
@@ -291,7 +303,7 @@ def _outputs(
 
 
 def _turned(n: int) -> Layer:
-    """[cos q, sin q] as a layer: the cosine is the sine of a quarter turn more."""
+    """Return a layer for [cos q, sin q], which is computed with cos q = sin(q + π/2)."""
     eye = np.eye(n)
     return Layer(np.hstack([eye, eye]), np.r_[np.full(n, np.pi / 2), np.zeros(n)], "sin")
 
@@ -317,5 +329,5 @@ def _formula(terms: LagrangianTerms, turns: BoolArray) -> str:
     unit = ", ".join(f"{value:.9g}" for value in terms.unit)
     added = f" + {terms.added:g}·identity" if terms.added else ""
     diagonal = f"Lii = unit_i·({curve} + {terms.least:g}), unit = ({unit}) √(kg·m²)"
-    diagonal += " (√kg where joints slide)" * (not np.all(turns))
+    diagonal += " (√kg for prismatic joints)" * (not np.all(turns))
     return f"M(q) = L·Lᵀ{added} with {diagonal}"

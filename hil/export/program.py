@@ -1,15 +1,16 @@
-"""What a controller computes every cycle, as plain arrays free of the estimator that found it.
+"""Computation of one controller cycle with plain arrays, independent of the estimator.
 
     torque = rigid body and load + friction, or Lagrangian network + load + friction
     effort = torque / scale + correction
 
-`program_of` reads a `Program` from a fitted model; C, PyTorch and ONNX are written from it. Bodies
-need not be able to exist: they are one set that has the base parameters of the model.
+`program_of` extracts a `Program` from a fitted model. The exports to C, PyTorch and ONNX all start
+from a `Program`. The bodies of a program are not necessarily physically consistent: their
+parameters are one of several sets with the base parameters of the model.
 
-Friction is of one of four kinds: `PlainFriction`, `ShapedFriction`, `NetworkFriction`, or a
-`FrictionLaw` of the friction library, whose columns `GROUPS` has. Weights of networks are laid out
-for programs here too, so that none of them needs torch to be written (`LagrangianTerms`,
-`CellWeights`).
+The friction of a program has one of four kinds: `PlainFriction`, `ShapedFriction`,
+`NetworkFriction`, or a `FrictionLaw` of the friction library, whose columns are in `GROUPS`. The
+module `program` also arranges the weights of networks for the exports (`LagrangianTerms`,
+`CellWeights`), so that the exports do not need torch.
 """
 
 from __future__ import annotations
@@ -52,12 +53,13 @@ class PlainFriction:
     """Coulomb and viscous friction with a smooth sign, and a constant.
 
     Attributes:
-        coulomb: (n,) [N·m].
-        viscous: (n,) [N·m·s/rad].
-        offset: (n,) [N·m].
-        sign_width: Of tanh(qd/width) [rad/s]; 0 for the hard sign.
-        exponent: (n,) of the viscous part, see `hil.estimators.friction_curve.power_of_speed`.
-        power_width: Of that [rad/s].
+        coulomb: (n,) Coulomb friction [N·m].
+        viscous: (n,) viscous friction [N·m·s/rad].
+        offset: (n,) constant [N·m].
+        sign_width: Width of the smooth sign tanh(qd/width) [rad/s]; 0 for the hard sign.
+        exponent: (n,) exponent of the speed in the viscous part, see
+            `hil.estimators.friction_curve.power_of_speed`.
+        power_width: Width in the power of the speed [rad/s].
     """
 
     coulomb: FloatArray
@@ -70,31 +72,33 @@ class PlainFriction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapedFriction:
-    """Friction that a few numbers per joint shape: Stribeck's peak, a power of the speed, memory.
+    """Friction with a few shape parameters per joint: Stribeck peak, power of the speed, memory.
 
         friction = d·[Fc + (Fs − Fc)·exp(−(u/vs)^δ) + g·|τ|] + p·Fp·u^α + Fv·q̇ + offset
                  + z₁₀·(m + mg·|τ|)
 
-    with u the speed, d the direction, p the direction of the power and τ the torque through the
-    gear. Coefficients are 0 where a term is not there; `rigid-diffnea` and `lagrangian` have forms
-    that differ in that.
+    In the friction formula, u is the speed, d the direction, p the direction of the power term, z₁₀
+    Dahl's state with ten times the length, and τ the torque through the gear. Coefficients of
+    unused friction terms are 0; `rigid-diffnea` and `lagrangian` use different terms.
 
     Attributes:
-        coulomb, static: Fc, Fs (n,) [N·m].
-        stribeck_speed: vs (n,) [rad/s].
-        stribeck_exponent: δ (n,).
-        power: Fp (n,) [N·m].
-        exponent: α (n,).
-        viscous: Fv (n,) [N·m·s/rad].
-        offset: (n,) [N·m].
-        sign_width: Of tanh(q̇/width) [rad/s]; 0 for the hard sign.
-        least_speed: Speeds count as this at least [rad/s].
-        more_speed: Added to speeds before that [rad/s]; one of both is above 0.
-        length: (n,) in which Dahl's state comes round, which is the direction then [rad]; None for
-            the sign, without memory.
-        power_remembers: The direction of the power is Dahl's state too, not the sign.
-        load: g (n,).
-        far, far_load: m [N·m] and mg (n,), of a state with ten times the length.
+        coulomb, static: (n,) Coulomb friction Fc and static friction Fs [N·m].
+        stribeck_speed: (n,) Stribeck speed vs [rad/s].
+        stribeck_exponent: (n,) exponent δ of the Stribeck peak.
+        power: (n,) coefficient Fp of the power term [N·m].
+        exponent: (n,) exponent α of the power term.
+        viscous: (n,) viscous friction Fv [N·m·s/rad].
+        offset: (n,) constant [N·m].
+        sign_width: Width of the smooth sign tanh(q̇/width) [rad/s]; 0 for the hard sign.
+        least_speed: Minimum of the speed u [rad/s].
+        more_speed: Speed that is added to |q̇| before the minimum is applied [rad/s]; `least_speed`
+            or `more_speed` is above 0.
+        length: (n,) characteristic length [rad] of Dahl's state, which is then the direction d;
+            None if the sign of the velocity is the direction.
+        power_remembers: Whether the direction p of the power term is also Dahl's state instead of
+            the sign of the velocity.
+        load: (n,) load-dependent friction g, as a share of |τ|.
+        far, far_load: (n,) factors m [N·m] and mg of Dahl's state with ten times the length.
     """
 
     coulomb: FloatArray
@@ -117,11 +121,11 @@ class ShapedFriction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layers:
-    """Fully connected layers, the last one linear.
+    """Fully connected layers, of which the last is linear.
 
     Attributes:
-        weights: Per layer (outputs, inputs).
-        biases: Per layer (outputs,).
+        weights: List of the weights (outputs, inputs) of each layer.
+        biases: List of the biases (outputs,) of each layer.
     """
 
     weights: tuple[FloatArray, ...]
@@ -133,14 +137,15 @@ Kind = Literal["float", "double"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkFriction:
-    """Friction by a network of tanh layers that sees cos q, sin q and q̇.
+    """Friction that a network of tanh layers computes from cos q, sin q and q̇.
 
     Attributes:
-        layers: Outputs are the torques; of a dissipative one the entries of A, row by row.
-        kind: Precision in which it was trained.
-        dissipative: Torque is A·Aᵀ·q̇, and the network sees log(|q̇| + rest) in q̇'s place.
-        scale: Of the outputs.
-        rest_speed: Added to speeds [rad/s].
+        layers: Layers whose outputs are the torques, or, for a dissipative network, the entries of
+            A, row by row.
+        kind: Number type in which the network was trained.
+        dissipative: Whether the torque is A·Aᵀ·q̇; log(|q̇| + rest) then replaces q̇ as input.
+        scale: Factor of each network output.
+        rest_speed: Speed that is added to |q̇| in the logarithm (rest) [rad/s].
     """
 
     layers: Layers
@@ -152,19 +157,20 @@ class NetworkFriction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LagrangianTerms:
-    """τ = M(q)·q̈ + C(q, q̇)·q̇ + g(q) of one network, see `hil.networks.lagrangian`.
+    """Network for τ = M(q)·q̈ + C(q, q̇)·q̇ + g(q), see `hil.networks.lagrangian`.
 
     Attributes:
-        trunk: From features of q to raw outputs: L's diagonal, its rows below, V or g(q).
-        kind: Precision in which it was trained.
-        activation: Of the hidden layers.
-        sincos: Features are [cos q, sin q], not q.
-        rectified: L's diagonal goes through max(x, 0), not softplus.
-        least: Added to L's diagonal.
-        added: Added to M's diagonal.
-        unit: (n,) of the rows of L [√(N·m s²)].
-        potential: The last output is V, else there are n of g(q).
-        gravity_unit: (1,) or (n,) of those [N·m].
+        trunk: Layers from features of q to raw outputs; the raw outputs are the diagonal of L, the
+            rows of L below the diagonal, and V or g(q).
+        kind: Number type in which the network was trained.
+        activation: Activation function of the hidden layers.
+        sincos: Whether the features are [cos q, sin q]; otherwise q is the feature.
+        rectified: Whether the activation of the diagonal of L is max(x, 0) instead of softplus.
+        least: Constant that is added to the diagonal of L.
+        added: Constant that is added to the diagonal of M.
+        unit: (n,) units of the rows of L [√(N·m s²)].
+        potential: Whether the last output is V; otherwise the last n outputs are g(q).
+        gravity_unit: (1,) unit of V or (n,) units of g(q) [N·m].
     """
 
     trunk: Layers
@@ -181,25 +187,28 @@ class LagrangianTerms:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Program:
-    """A model as arithmetic.
+    """Fitted model in the form of arithmetic operations on plain arrays.
 
     Attributes:
-        estimator: What found it.
-        joint_names: n of them.
-        effort_kind: `current` or `torque`: what comes out.
-        geometry: Where the joints are.
-        gravity: (3,) in the base frame [m/s²].
-        flange: (4, 4) pose of the flange in the last joint's frame; loads are told in the flange's.
-        rigid: (n, 11) per link: a body in the joint's frame, and the rotor's inertia. Zeros where
-            a Lagrangian network stands for them.
-        gears: (n, 11) the same for the torque that the gears transmit, on which friction depends.
-        friction: With or without memory.
+        estimator: Name of the estimator.
+        joint_names: Names of the n joints.
+        effort_kind: Kind of the predicted effort: `current` or `torque`.
+        geometry: Placements and axes of the joints.
+        gravity: (3,) gravity in the base frame [m/s²].
+        flange: (4, 4) pose of the flange in the frame of the last joint, because loads are defined
+            in the flange frame.
+        rigid: (n, 11) parameters of each link: a body in the joint frame, and the rotor inertia.
+            All parameters `rigid` are zero if a Lagrangian network replaces the rigid body.
+        gears: (n, 11) parameters for the torque that the gears transmit, on which friction depends.
+        friction: Friction of the joints, with or without memory.
         scale: (n,) torque per unit of effort.
-        correction: Of a residual network, in effort units.
-        lagrangian: Network that takes the place of the rigid body; loads stay bodies.
-        coupling: (n, n) T of joints = T · motors where a motor moves more than one joint, else
-            None. Samples and efforts are the motors' then: bodies and load hold Tᵀ times what the
-            joints at T q, T q̇, T q̈ hold; rotors, friction, networks and scale are the motors'.
+        correction: Residual networks, whose outputs are in effort units.
+        lagrangian: Lagrangian network that replaces the rigid bodies of the arm; loads are still
+            rigid bodies.
+        coupling: (n, n) matrix T with joints = T · motors if a motor moves more than one joint;
+            otherwise None. With a coupling, input samples and efforts refer to the motors. With a
+            coupling, bodies and load contribute Tᵀ times the joint torques at T q, T q̇, T q̈,
+            whereas rotors, friction, networks and scale refer to the motors.
     """
 
     estimator: str
@@ -223,21 +232,21 @@ class Program:
 
     @property
     def remembers(self) -> bool:
-        """Whether what comes out depends on samples before."""
+        """Whether the output of the program depends on previous samples."""
         carried = getattr(self.friction, "length", None) is not None
         return carried or isinstance(self.friction, FrictionLaw) or self.correction is not None
 
 
 BODY = 10
-"""Parameters of a body in `hil.dynamics.inertial`'s order; the rotor's inertia comes behind."""
+"""Number of parameters of a body in the order of `hil.dynamics.inertial`, without rotor inertia."""
 
 
 def program_of(model: RobotEstimator) -> Program:
-    """What the model computes, as arithmetic.
+    """Return a fitted model as a program of arithmetic operations.
 
     Raises:
-        NotExported: It is of a kind that is not exported.
-        FitError: It is not fitted.
+        NotExported: The estimator cannot be exported as a program.
+        FitError: The model is not fitted.
     """
     if not hasattr(model, "sigma_"):
         raise FitError(f"{model.estimator} is not fitted yet", hint="call fit first")
@@ -267,9 +276,10 @@ def program_of(model: RobotEstimator) -> Program:
         return _program_with(model, rigid, rigid, plain)
     if isinstance(model, StaticModel):
         raise NotExported(
-            f"{model.estimator} says what an arm needs at rest, a program what it needs in motion",
-            hint="guide by hand with hil.control.HandGuiding, which takes this model "
-            "as it is; take its parameters with --to json; or fit rigid-hysteresis to trajectories",
+            f"{model.estimator} predicts efforts at standstill, but a program needs efforts in "
+            "motion",
+            hint="use this model in hil.control.HandGuiding for hand guiding, export its "
+            "parameters with --to json, or fit rigid-hysteresis to trajectories",
         )
     raise NotExported(
         f"{model.estimator} cannot be exported as a program",
@@ -286,7 +296,7 @@ def _corrected(model: ResidualNetwork) -> Program:
     if correction.settings.inputs != "motion":
         raise NotExported(
             f"the residual network has inputs: {correction.settings.inputs}, so it needs the "
-            "torque that a controller wants predicted",
+            "torque that the controller has to predict",
             hint="fit residual with inputs: motion",
         )
     return replace(inner, estimator=model.estimator, correction=correction)
@@ -315,16 +325,16 @@ def _program_with(
 
 
 class NotExported(FitError):
-    """The model is of a kind that no program can be written of."""
+    """Error for an estimator that cannot be exported as a program."""
 
 
 def bodies(full: FloatArray, n: int) -> FloatArray:
-    """(n, 11) per link from full parameters (11n,) in the order of the regressor's columns."""
+    """Return the parameters (n, 11) per link from the full parameters (11n,) in regressor order."""
     return np.column_stack([full[: BODY * n].reshape(n, BODY), full[BODY * n :]])
 
 
 def terms_of(law: FrictionLaw) -> tuple[Mapping[str, FloatArray], ...]:
-    """Per joint, its groups' coefficients by the name of the group."""
+    """Return the coefficients of each friction group for each joint, by the name of the group."""
     found = []
     for names, flat in zip(law.chosen, law.coefficients, strict=True):
         counts = [law.count(name) for name in names]
@@ -334,7 +344,7 @@ def terms_of(law: FrictionLaw) -> tuple[Mapping[str, FloatArray], ...]:
 
 
 def flange_in_last_joint(robot: RobotModel) -> FloatArray:
-    """(4, 4) pose of the flange in the frame of the last joint; it does not depend on q."""
+    """Return the pose (4, 4) of the flange in the frame of the last joint, independent of q."""
     last = np.eye(4)
     for place in robot.joint_geometry().placement:
         last = last @ place
@@ -343,7 +353,7 @@ def flange_in_last_joint(robot: RobotModel) -> FloatArray:
 
 
 def shaped_of(model: RigidDiffnea) -> PlainFriction | ShapedFriction:
-    """Friction of a fitted `rigid-diffnea`."""
+    """Return the friction of a fitted `rigid-diffnea` model."""
     n, form = model.robot_.n, FORMS[model.friction]
     own = model.coefficients_[len(model.gear_rigid_) :]
     count = len(form.terms)
@@ -355,7 +365,7 @@ def shaped_of(model: RigidDiffnea) -> PlainFriction | ShapedFriction:
     if not shapes:
         coulomb, viscous, offset = (values[term] for term in form.terms)
         return PlainFriction(coulomb, viscous, offset, width, one, width or 1.0)
-    # Without memory the exponent replaces what is viscous; with it the power is a term of its own.
+    # Without memory the power replaces the viscous term; with memory it is an additional term.
     powered = "speed_exponent" in shapes and "speed" not in values
     return ShapedFriction(
         coulomb=values["coulomb"],
@@ -377,17 +387,17 @@ def shaped_of(model: RigidDiffnea) -> PlainFriction | ShapedFriction:
 
 
 LEAST_NETWORK_REST_SPEED, LEAST_NETWORK_SPEED = 1e-4, 1e-6
-"""As the friction of `hil.networks.lagrangian` has them, which torch is needed to read."""
+"""Copies of limits in `hil.networks.lagrangian_friction`, whose import would require torch."""
 
 
 def lagrangian_terms(model: LagrangianEstimator) -> LagrangianTerms:
-    """Those of a fitted `lagrangian`."""
+    """Return the Lagrangian network of a fitted `lagrangian` model."""
     from hil.networks import network_of
 
     settings = model.design_.network
     of_factor = settings.epsilon_of == "factor"
     dynamics = network_of(model.design_, model.torque_std_, model.weights_).dynamics
-    # An entry of L's diagonal stands alone in its row of the placement.
+    # Rows of the placement for the diagonal of L have one non-zero entry: the unit.
     unit = dynamics.factor.placement[: model.robot_.n].sum(dim=-1).double().numpy()
     names = [f"dynamics.trunk.layers.{i}" for i in range(len(settings.hidden))]
     return LagrangianTerms(
@@ -419,7 +429,7 @@ def _precision_of(weights: Mapping[str, np.ndarray[Any, Any]]) -> Kind:
 def lagrangian_friction(
     model: LagrangianEstimator,
 ) -> PlainFriction | ShapedFriction | NetworkFriction:
-    """Friction of a fitted `lagrangian`."""
+    """Return the friction of a fitted `lagrangian` model."""
     kind: FrictionKind = model.design_.kind
     if kind in ("dissipative", "unconstrained"):
         return _network_friction(model)
@@ -465,29 +475,33 @@ def _network_friction(model: LagrangianEstimator) -> NetworkFriction:
 
 
 LONG = 10.0
-"""Length of the second state of a `ShapedFriction`, as a multiple of the first's."""
+"""Length of the second state of a `ShapedFriction`, as a multiple of the first state's length."""
 
 BLOCK = 4
-"""Channels and inputs are filled up to a multiple with zeros: loops go by so many at once."""
+"""Number of which padded channels and inputs are multiples; loops process this number at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellWeights:
-    """S sets of F inputs, E cells of W channels, L layers of K taps, O outputs of each cell.
+    """Weights of residual networks: S input sets of F inputs, E cells of W channels, L layers.
 
-    A cell is the network of one branch and fold, of one kept joint in layout `grouped` and of all
-    in `joint`. All cells read a set of inputs; the branches share it.
+    Each cell has K taps per layer and O outputs.
 
-    F and W are multiples of `BLOCK`; what was added weighs nothing. Products over channels have
-    the channels that come out last, so that neighbours are computed together.
+    A cell is the network of one branch and one fold. With layout `grouped` a cell belongs to one
+    corrected joint, with layout `joint` to all joints. Every cell reads one set of inputs; the
+    branches of a network share a set.
+
+    F and W are multiples of `BLOCK`; padded entries have zero weights. In products over channels
+    the output channels are the last axis; neighbouring outputs are therefore computed together.
 
     Attributes:
-        means, rates, lowest, highest: (S, F) of the inputs: to subtract, to multiply by, the range.
-        enter, enter_bias: (E, F·W) and (E, W).
-        taps, biases: (L·E, K·W·W), the oldest tap first, and (L·E, W).
-        leave, leave_bias: (E·O, W) and (E·O,).
-        share: (E·O,) what an output counts for in the mean [effort unit].
-        joints: (E·O,) whose effort it is.
+        means, rates, lowest, highest: (S, F) scales of the inputs: offset that is subtracted,
+            factor, minimum and maximum.
+        enter, enter_bias: (E, F·W) and (E, W) weights and biases from inputs to channels.
+        taps, biases: (L·E, K·W·W) weights, with the oldest tap first, and (L·E, W) biases.
+        leave, leave_bias: (E·O, W) and (E·O,) weights and biases from channels to outputs.
+        share: (E·O,) weight of each output in the mean [effort unit].
+        joints: (E·O,) number of the joint to which each output belongs.
     """
 
     means: FloatArray
@@ -505,7 +519,7 @@ class CellWeights:
 
 
 def cell_weights(correction: Correction) -> CellWeights:
-    """Those of the kept joints; at least one is kept."""
+    """Return the weights of all corrected joints, of which there must be at least one."""
     kept = np.flatnonzero(correction.kept)
     own = correction.settings.layout == "grouped"
     groups = kept if own else np.array([0])
@@ -564,14 +578,14 @@ class _Cell:
 
 
 def _range(network: TrainedTcn, group: int) -> Iterator[FloatArray]:
-    """Means, rates, lowest and highest of a set of inputs, in `NetworkInputs`' order."""
+    """Yield means, rates, lowest and highest values of a set of inputs, as in `NetworkInputs`."""
     scales, settings = network.inputs.scales, network.settings
     zero = np.zeros(network.n)
     if settings.layout == "joint":
         mean = np.column_stack([scales.q_mean, zero, zero]).ravel()
         scale = np.column_stack([scales.q, scales.qd, scales.qdd]).ravel()
     else:
-        # Signs are what they are.
+        # Signs are not scaled.
         signs = len(settings.sign_widths)
         at = [group] if settings.base_input else []
         mean = np.r_[np.zeros(2 + signs), scales.base_mean[at]]
@@ -582,7 +596,7 @@ def _range(network: TrainedTcn, group: int) -> Iterator[FloatArray]:
 
 
 def filled(values: NDArray[np.float32] | FloatArray, *axes: int) -> FloatArray:
-    """Zeros behind the values, up to a multiple of `BLOCK` along the axes."""
+    """Return the values padded with zeros to a multiple of `BLOCK` along the axes."""
     behind = [(0, -size % BLOCK if axis in axes else 0) for axis, size in enumerate(values.shape)]
     return np.pad(np.asarray(values, dtype=np.float64), behind)
 
@@ -622,12 +636,12 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     },
     "temperature": ("z1 * warmth", "law_p * warmth"),
 }
-"""Group of the friction library → its columns as C expressions.
+"""Mapping from a group of the friction library to the columns of the group as C expressions.
 
-They are expressions of what a joint has at this sample: `v`, `speed` = |v|, `z3` (Dahl's state of
-three times the shortest length), `tau` (torque through the gear) and `load` = |tau|, `peak03`
-(Stribeck's exponential, 0.3 as wide), `law025` (sign(v)·|v|^0.25), `sin4`, `cos4` (four times per
-motor turn), `jsin1` (once per joint turn).
+The expressions use quantities of one joint at the current sample: `v`, `speed` = |v|, `z3` (Dahl's
+state with three times the shortest length), `tau` (torque through the gear) and `load` = |tau|,
+`peak03` (Stribeck's exponential with 0.3 times the width), `law025` (sign(v)·|v|^0.25), `sin4`,
+`cos4` (four periods per motor turn), `jsin1` (one period per joint turn).
 """
 
 PEAKS = {"peak03": 0.3, "peak1": 1.0, "peak3": 3.0}

@@ -1,4 +1,4 @@
-"""What a model can be written as, by name."""
+"""Export formats of fitted models, selected by name."""
 
 from __future__ import annotations
 
@@ -20,21 +20,24 @@ TARGETS = {
     "onnx-mlp": ("hil.export.onnx_mlp", "export_onnx_mlp"),
     "json": ("hil.export.json_export", "export_json"),
 }
-"""Name → module and function; imported when it is asked for, as some need heavy libraries."""
+"""Mapping from format to module and function; modules are imported on use, as some are slow."""
 
 ENDINGS = {
     "c": "", "urdf": ".urdf", "onnx": ".onnx", "torch": ".pt2", "onnx-mlp": ".onnx", "json": ".json"
 }  # fmt: skip
-"""Of the file's name; C is a folder."""
+"""Mapping from format to file extension; C has no extension, because it is exported as a folder."""
 
 FOREIGN = {".c", ".h", ".cc", ".cpp", ".zip", ".pt", ".yaml", *filter(None, ENDINGS.values())}
-"""Endings that promise something; any other may stand for anything."""
+"""File extensions of known formats; files with other extensions are accepted for any format."""
 
 DAMAGED = (ValueError, TypeError, ArithmeticError, LookupError)
-"""What numbers that cannot be make arithmetic raise."""
+"""Exceptions that invalid numbers of a model can cause during an export."""
+
+FLAGS = {"unchecked": "--no-check"}
+"""Mapping from parameter to command-line option, for options whose names differ."""
 
 OPTIONS = {"c": ("prefix", "unchecked"), "urdf": ("unchecked",)}
-"""What else a target takes."""
+"""Names of the additional options of each format."""
 
 
 def export_model(
@@ -45,21 +48,23 @@ def export_model(
     prefix: str | None = None,
     unchecked: bool | None = None,
 ) -> Exported:
-    """Write a saved model for other programs, compared with the model in Python first.
+    """Write a saved model for other programs, after comparing it with the Python model.
 
     Args:
-        model: Its folder.
-        out: The file or folder to be made.
-        to: `c` and the other targets of `hil.export.targets`.
-        prefix: What files and symbols of C begin with; by default `hil`.
-        unchecked: Write C without a compiler to check it with, or a URDF however far off it is.
+        model: Folder of the model.
+        out: File or folder that is created.
+        to: Name of the format, such as `c`; one of `hil.export.targets.TARGETS`.
+        prefix: Prefix of C files and C symbols; the default is `hil`.
+        unchecked: Whether C is written without compiling and testing it, or a URDF is written even
+            if it deviates from the model.
 
     Raises:
-        DataError: The model cannot be read.
-        FitError: It is of a kind that cannot be written so, or what was written does not agree.
-        PluginError: Something it takes is not installed, such as a C compiler or cvxpy.
-        RecordingError: The file or folder exists already.
-        SpecError: There is no such target, or an option is none of it.
+        DataError: The model files cannot be read.
+        FitError: The estimator does not support the format, or the exported program does not agree
+            with the model.
+        PluginError: A required program or library, such as a C compiler or cvxpy, is not installed.
+        RecordingError: The file or folder already exists.
+        SpecError: The format is unknown, or does not have an option that was passed.
     """
     from hil.estimators import load_model_file
 
@@ -68,28 +73,31 @@ def export_model(
 
 
 def written_as(model: RobotEstimator, out: Path, to: str, **options: Any) -> Exported:
-    """Write a fitted model as one of `TARGETS`.
+    """Write a fitted model in one of the formats of `TARGETS`.
 
     Args:
-        model: Fitted.
-        out: File or folder to be made.
-        to: Name of the target.
-        options: Those of `OPTIONS`, where they are not None or False.
+        model: Fitted model.
+        out: File or folder that is created.
+        to: Name of the format.
+        options: Mapping of the options in `OPTIONS`; values None and False are ignored.
 
     Raises:
-        SpecError: There is no such target, it has no such option, or `out` ends as another's file.
+        SpecError: The format is unknown, does not have the option, or `out` has the extension of a
+            different format.
         DataError: Numbers of the model are damaged.
-        FitError: The model is of a kind that it cannot be, or what it would be does not agree.
-        PluginError: What it takes to write or check it is not installed.
-        RecordingError: It exists already, or cannot be written.
+        FitError: The estimator does not support the format, or the exported program does not agree
+            with the model.
+        PluginError: A program or library for writing or checking the format is not installed.
+        RecordingError: The path already exists, or cannot be written.
     """
     if to not in TARGETS:
-        raise SpecError(f"--to is {to!r}", hint=did_you_mean(to, TARGETS))
+        raise SpecError(f"unknown format --to {to!r}", hint=did_you_mean(to, TARGETS))
     given = {
         name: value for name, value in options.items() if value is not None and value is not False
     }
     if strange := sorted(set(given) - set(OPTIONS.get(to, ()))):
-        raise SpecError(f"--to {to} has no option --{strange[0]}", hint="leave it out")
+        option = FLAGS.get(strange[0], f"--{strange[0]}")
+        raise SpecError(f"--to {to} has no option {option}", hint=f"remove {option}")
     _require_ending(out, to)
     module, name = TARGETS[to]
     export = getattr(import_module(module), name)
@@ -98,8 +106,9 @@ def written_as(model: RobotEstimator, out: Path, to: str, **options: Any) -> Exp
     except DAMAGED as error:
         raise DataError(
             f"{model.estimator} cannot be written as {to}: {error}",
-            hint="its numbers are damaged, or this is a fault of hil's export: evaluate the "
-            "model, fit it again, and report it with the model's folder if it says what it should",
+            hint="the numbers of the model are damaged, or hil's export has a fault: evaluate "
+            "the model; if its predictions are wrong, fit it again, otherwise report the "
+            "fault with the model folder",
         ) from error
     return written
 
@@ -112,6 +121,6 @@ def _require_ending(out: Path, to: str) -> None:
     fitting = next((name for name, of in ENDINGS.items() if of == found), None)
     other = f", or with --to {fitting}" if fitting else ""
     raise SpecError(
-        f"--to {to} makes {what}, but --out is {out}",
+        f"--to {to} writes {what}, but --out is {out}",
         hint=f"for example: --out {out.with_suffix(ending)}{other}",
     )

@@ -1,6 +1,6 @@
-"""A fitted model as one `.pt2` file for PyTorch, traced: it holds a graph and numbers, no code.
+"""Export of a fitted model as one `.pt2` file for PyTorch, with a traced graph and no code.
 
-The modules themselves are in `hil.export.torch_modules`, which imports PyTorch.
+The PyTorch modules of the export are in `hil.export.torch_modules`, which imports PyTorch.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 
 
 TOLD = "hil.json"
-"""The extra file with what has to be known to call the program."""
+"""Name of the file in the archive that describes how to call the program."""
 
 
 def export_torch(model: RobotEstimator, out: Path) -> Exported:
-    """Write a model as a PyTorch program, after it has been read back and compared.
+    """Write a model as a PyTorch program, after reading the program back and comparing it.
 
     Args:
-        model: Fitted.
-        out: File to be made; `.pt2` by custom.
+        model: Fitted model.
+        out: File that is created, usually with the extension `.pt2`.
 
     Raises:
-        FitError: The model is of a kind that is not exported, or the program does not agree.
+        FitError: The estimator cannot be exported, or the program does not agree with the model.
         PluginError: PyTorch is not installed.
-        RecordingError: The file exists already, or cannot be made.
+        RecordingError: The file already exists, or cannot be created.
     """
     require_new(out)
     if find_spec("torch") is None:
@@ -49,12 +49,16 @@ def export_torch(model: RobotEstimator, out: Path) -> Exported:
         loaded(content), golden_of(model), traced.state_size, "the PyTorch program"
     )
     write_file(content, out)
-    warns = () if out.suffix == ".pt2" else ("torch.export.load warns of other names than *.pt2",)
+    warns = (
+        ()
+        if out.suffix == ".pt2"
+        else ("torch.export.load warns about file names other than *.pt2",)
+    )
     return told_of(traced, out, checked, *warns)
 
 
 def told_of(traced: TorchModel, out: Path, checked: str, *notes: str) -> Exported:
-    """What is said of a file with this model in it."""
+    """Return the result of an export of the passed model to a file."""
     memory = f"with memory of {traced.state_size} numbers" if traced.state else "without memory"
     return Exported(
         out=out,
@@ -68,23 +72,23 @@ def told_of(traced: TorchModel, out: Path, checked: str, *notes: str) -> Exporte
 
 
 def notes_of(traced: TorchModel) -> tuple[str, ...]:
-    """What callers have to keep to."""
+    """Return notes on the sample rate and the units for callers of the program."""
     notes = []
     if traced.rate_hz is not None:
-        notes.append(f"its network counts samples: call it at {traced.rate_hz:.6g} Hz")
+        notes.append(f"the memory of its network is in samples: call it at {traced.rate_hz:.6g} Hz")
     if sliding := [
         name for name, turns in zip(traced.joint_names, traced.turns, strict=True) if not turns
     ]:
         efforts = "" if traced.effort_kind == "current" else ", efforts in N"
-        notes.append(f"joints that slide: {', '.join(sliding)}; positions in m{efforts}")
+        notes.append(f"prismatic joints: {', '.join(sliding)}; positions in m{efforts}")
     return tuple(notes)
 
 
 def archive(traced: TorchModel) -> bytes:
-    """The file's content.
+    """Return the content of the `.pt2` file.
 
     Raises:
-        FitError: PyTorch would put a pickle into it.
+        FitError: PyTorch would write a pickle into the file.
     """
     import torch
 
@@ -94,7 +98,7 @@ def archive(traced: TorchModel) -> bytes:
         program = torch.export.export(
             traced.module, inputs, dynamic_shapes=tuple({0: rows} for _ in inputs)
         )
-    # Inputs to try it with would be the only thing in the archive that is pickled.
+    # The example inputs would be the only pickle in the archive.
     program.example_inputs = None
     content = io.BytesIO()
     torch.export.save(program, content, extra_files={TOLD: json.dumps(traced.metadata(), indent=1)})
@@ -107,7 +111,7 @@ def archive(traced: TorchModel) -> bytes:
 
 
 def example_inputs(traced: TorchModel, rows: int) -> tuple[Any, ...]:
-    """q, qd, qdd, load[, state] of that many rows, at rest."""
+    """Return inputs q, qd, qdd, load[, state] that are zero, with the passed number of rows."""
     import torch
 
     sizes = [traced.n] * 3 + [10] + [traced.state_size] * bool(traced.state)
@@ -115,19 +119,19 @@ def example_inputs(traced: TorchModel, rows: int) -> tuple[Any, ...]:
 
 
 def pickles(content: bytes) -> list[str]:
-    """Names of the files in an archive that are pickled."""
+    """Return the names of those files in an archive that are pickles."""
     with zipfile.ZipFile(io.BytesIO(content)) as kept:
         return [
             name
             for name in kept.namelist()
-            # A pickle by itself, or an archive of torch.save with one in it.
+            # Either a pickle, or an archive of torch.save that contains one.
             if (head := kept.read(name)[:4])[:2] in (b"\x80\x02", b"\x80\x04", b"\x80\x05")
             or head == b"PK\x03\x04"
         ]
 
 
 def loaded(content: bytes) -> Step:
-    """The program, read back."""
+    """Return the program after reading it back from the content of a file."""
     import torch
 
     program = torch.export.load(io.BytesIO(content)).module()

@@ -1,13 +1,14 @@
-"""A program as a PyTorch module: one sample of many independent streams at once.
+"""Program as a PyTorch module that processes one sample of many independent streams at once.
 
-`ProgramModule` is a module for the rigid body or a Lagrangian network (`RigidTorque`,
-`LagrangianTorque`), one for friction (`PlainLaw`, `ShapedLaw`, `NetworkLaw`, `MemoryLaw`) and one
-for a residual network (`StreamingTcn`). What a module carries from sample to sample goes in and
-comes out as numbers, of which zeros are the start; its `parts` name them. Nothing is written in
-place, nothing scatters, gathers or branches, so that the modules can be traced for small runtimes.
+`ProgramModule` consists of a module for the rigid body or a Lagrangian network (`RigidTorque`,
+`LagrangianTorque`), a module for friction (`PlainLaw`, `ShapedLaw`, `NetworkLaw`, `MemoryLaw`) and
+a module for a residual network (`StreamingTcn`). The state of a module is both an input and an
+output; its initial value is zero, and `parts` lists its components. The modules use no in-place
+operations, no scatter, no gather and no branches, so that they can be traced for small runtimes.
 
-Arithmetic is in double precision, but for networks: these are in single, whatever they were trained
-in, because runtimes lack some of their functions in double.
+All computations except those of networks are in double precision. Networks use single precision,
+independent of the training precision, because some runtimes lack some network functions in double
+precision.
 """
 
 from __future__ import annotations
@@ -51,31 +52,33 @@ from hil.export.program import (
 from hil.networks import Correction, LagrangianNetwork, NetworkSettings
 
 LOAD_UNITS = ("kg", *["m"] * 3, *["kg*m2"] * 6)
-"""Units of mass, centre of mass x y z and inertia about it xx yy zz xy xz yz."""
+"""Units of mass, centre of mass x y z, and inertia about the centre of mass xx yy zz xy xz yz."""
 
 SINGLE = torch.float32
-"""Type of the networks' numbers."""
+"""Number type of the networks."""
 
 SLOWEST = 1e-12
-"""Below this speed [rad/s] a power of it is 0: no logarithm of 0."""
+"""Speed [rad/s] below which a power of the speed is set to 0, to avoid the logarithm of 0."""
 
 LARGEST_EXPONENT = 20.0
-"""Exponents are clamped to this, to avoid overflow."""
+"""Maximum of exponents, which avoids overflow."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TorchModel:
-    """A module and what has to be known to call it.
+    """PyTorch module with the information that is needed to call the module.
 
     Attributes:
-        module: effort[, state_next] = module(q, qd, qdd, load[, state]), a tuple; see
-            `ProgramModule`. In double precision, for evaluation.
+        module: PyTorch module in double precision and evaluation mode, which returns a tuple:
+            effort[, state_next] = module(q, qd, qdd, load[, state]); see `ProgramModule`.
         estimator: Name of the estimator.
-        joint_names: n of them.
-        effort_kind: `current` or `torque`.
-        turns: Which joints turn; the others slide.
-        state: Name and size of the parts of the state, in this order; empty without memory.
-        rate_hz: Sample rate that the residual network was trained at; None if any rate will do.
+        joint_names: Names of the n joints.
+        effort_kind: Kind of the effort: `current` or `torque`.
+        turns: Whether each joint is revolute; joints that are not revolute are prismatic.
+        state: Name and size of each component of the state, in the order of the state; empty for a
+            module without memory.
+        rate_hz: Sample rate of the training data of the residual network [Hz]; None if any rate is
+            valid.
     """
 
     module: nn.Module
@@ -93,18 +96,18 @@ class TorchModel:
 
     @property
     def state_size(self) -> int:
-        """S; 0 without memory."""
+        """Size S of the state; 0 for a module without memory."""
         return sum(size for _, size in self.state)
 
     @property
     def names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Names of inputs and outputs."""
+        """Names of the inputs and of the outputs of the module."""
         inputs, outputs = ("q", "qd", "qdd", "load"), ("effort",)
         return ((*inputs, "state"), (*outputs, "state_next")) if self.state else (inputs, outputs)
 
     @property
     def units(self) -> dict[str, list[str]]:
-        """Of every column of the inputs and of the effort, in ASCII."""
+        """Units of every column of the inputs and of the effort, in ASCII."""
         lengths = ["rad" if turns else "m" for turns in self.turns]
         of_torque = ["N*m" if turns else "N" for turns in self.turns]
         return {
@@ -116,7 +119,7 @@ class TorchModel:
         }
 
     def metadata(self) -> dict[str, str]:
-        """Metadata for a file: plain text, lists as JSON."""
+        """Return metadata for a file: plain text, with lists as JSON."""
         return {
             "written_by": "hil",
             "estimator": self.estimator,
@@ -130,10 +133,10 @@ class TorchModel:
 
 
 def module_of(model: RobotEstimator) -> TorchModel:
-    """What the model computes, as a PyTorch module.
+    """Return the computation of a model as a PyTorch module.
 
     Raises:
-        FitError: It is not fitted, or of a kind that is not exported.
+        FitError: The model is not fitted, or its estimator cannot be exported.
     """
     program = program_of(model)
     module = ProgramModule(program).eval()
@@ -150,20 +153,21 @@ def module_of(model: RobotEstimator) -> TorchModel:
 
 
 Carried = dict[str, Tensor]
-"""What is handed on from sample to sample by name, each (B, size)."""
+"""Mapping from the name of a state component to its values (B, size)."""
 
 
 class ProgramModule(nn.Module):
-    """effort[, state_next] = module(q, qd, qdd, load[, state]), all in double precision.
+    """Module for effort[, state_next] = module(q, qd, qdd, load[, state]) in double precision.
 
-    Differentiable in q, qd, qdd and the state, but for the signs within friction; nothing is
-    written in place.
+    The module is differentiable in q, qd, qdd and the state, except for the signs in the friction.
+    The module uses no in-place operations.
 
     Args:
-        program: What to compute. A network that no joint keeps counts as none.
+        program: Program that the module computes; networks that no joint uses are ignored.
 
     Attributes:
-        parts: Name and size of what the state holds, in this order; empty without memory.
+        parts: Name and size of each component of the state, in the order of the state; empty
+            without memory.
     """
 
     def __init__(self, program: Program) -> None:
@@ -178,15 +182,16 @@ class ProgramModule(nn.Module):
     def forward(
         self, q: Tensor, qd: Tensor, qdd: Tensor, load: Tensor, state: Tensor | None = None
     ) -> tuple[Tensor, ...]:
-        """(effort,) without memory, (effort, state_next) with it.
+        """Return (effort,) for a program without memory, or (effort, state_next) with memory.
 
         Args:
-            q: (B, n) [rad].
-            qd: (B, n) [rad/s].
-            qdd: (B, n) [rad/s²].
-            load: (B, 10) mass [kg], centre of mass [m] in the flange's frame, inertia about it
-                (xx, yy, zz, xy, xz, yz) [kg·m²].
-            state: (B, S) of the sample before; zeros are the start. None without memory.
+            q: (B, n) position [rad].
+            qd: (B, n) velocity [rad/s].
+            qdd: (B, n) acceleration [rad/s²].
+            load: (B, 10) mass [kg], centre of mass [m] in the flange frame, inertia about the
+                centre of mass (xx, yy, zz, xy, xz, yz) [kg·m²].
+            state: (B, S) state after the previous sample; zeros for the first sample. For a program
+                without memory, `state` is None.
         """
         torque, gears = self.physics(q, qd, qdd, load)
         carried, begun = self._carried(state)
@@ -202,7 +207,7 @@ class ProgramModule(nn.Module):
         return effort, torch.cat([after[name] for name, _ in self.parts], dim=1)
 
     def _carried(self, state: Tensor | None) -> tuple[Carried, Tensor | None]:
-        """Parts of the state by name, and whether there was a sample before, (B, 1)."""
+        """Return the state by component, and (B, 1) whether there was a previous sample."""
         if state is None:
             return {}, None
         names, sizes = zip(*self.parts, strict=True)
@@ -211,17 +216,17 @@ class ProgramModule(nn.Module):
 
 
 def physics_module(program: Program) -> nn.Module:
-    """(q, qd, qdd, load) → torque with load, and that of the gears, each (B, n) [N·m]."""
+    """Return the module from (q, qd, qdd, load) to torque and gear torque, each (B, n) [N·m]."""
     if program.lagrangian is not None:
         return LagrangianTorque(program, program.lagrangian)
     return RigidTorque(program)
 
 
 class FrictionModule(Protocol):
-    """A module for friction.
+    """Module for friction.
 
     Attributes:
-        parts: Name and size of what it carries from sample to sample; zeros are the start. Empty
+        parts: Name and size of each component of the module's state, which starts at zero; empty
             without memory.
     """
 
@@ -230,15 +235,15 @@ class FrictionModule(Protocol):
     def __call__(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
     ) -> tuple[Tensor, Carried]:
-        """Torque (B, n) [N·m], and the carried parts that have changed.
+        """Return the friction torque (B, n) [N·m], and the changed components of the state.
 
         Args:
-            q: (B, n) [rad].
-            qd: (B, n) [rad/s].
+            q: (B, n) position [rad].
+            qd: (B, n) velocity [rad/s].
             gears: (B, n) torque that the gears transmit [N·m].
-            begun: (B, 1) whether there was a sample before; None where nothing is carried.
-            carried: What `parts` names. `warmer_k` (B, n) is how much warmer joints are than
-                the training was [K].
+            begun: (B, 1) whether there was a previous sample; None for a module without memory.
+            carried: Values of the state components that `parts` lists. `warmer_k` (B, n) is the
+                joint temperature minus the temperature in training [K].
         """
 
 
@@ -263,19 +268,20 @@ def network_module(program: Program) -> StreamingTcn | None:
 
 
 class RigidTorque(nn.Module):
-    """Torques of links and load, linear in what the bodies are, of all links at once.
+    """Torques of all links and the load, linear in inertial parameters, for all links at once.
 
-    With link poses Tᵢ in the base and joint twists Gᵢ (4×4, base), velocities are V = Σ G·q̇ over
-    the joints up to a link, accelerations V' = Σ (G·q̈ + [V, G]·q̇), and a link with pseudo-inertia
-    J takes A = (V' + V²)·T J Tᵀ, gravity within V'. A joint holds τᵢ = ⟨Gᵢ, Σ A⟩ over the links it
-    carries (Uicker 1967, in the notation of Wensing, Kim & Slotine 2018). It is Newton and Euler
-    without their walk from link to link: only the poses are multiplied one by one, sums along the
-    chain are products with a triangular matrix. So there are few operations, which is what a sample
-    costs in a runtime. Where motors move more than one joint, q, q̇, q̈, rotors and torques are the
-    motors'.
+    With link poses Tᵢ and joint twists Gᵢ (4×4), both in the base frame, the velocity of a link is
+    V = Σ G·q̇ over the joints up to the link, and its acceleration is V' = Σ (G·q̈ + [V, G]·q̇). A
+    link with pseudo-inertia J requires A = (V' + V²)·T J Tᵀ, with gravity included in V'. The
+    torque of a joint is τᵢ = ⟨Gᵢ, Σ A⟩ over the links that the joint carries (Uicker 1967, in the
+    notation of Wensing, Kim & Slotine 2018). The torques equal those of Newton–Euler, but are
+    computed without recursion from link to link. Only the poses are multiplied one after the other;
+    sums along the chain are products with a triangular matrix. The number of operations, which
+    determines the time per sample in a runtime, is therefore small. If motors move more than one
+    joint, q, q̇, q̈, rotors and torques refer to the motors.
 
     Args:
-        program: Geometry, gravity, flange and bodies.
+        program: Program, of which geometry, gravity, flange and bodies are used.
     """
 
     def __init__(self, program: Program) -> None:
@@ -294,14 +300,14 @@ class RigidTorque(nn.Module):
             register_constants(self, gear_rotors=program.gears[:, 10])
 
     def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, load: Tensor) -> tuple[Tensor, Tensor]:
-        """Torque of the rigid body with load, and what of it the gears transmit, (B, n) [N·m].
+        """Return the torque of rigid body and load, and the torque in the gears, (B, n) [N·m].
 
         Args:
-            q: (B, n) [rad].
-            qd: (B, n) [rad/s].
-            qdd: (B, n) [rad/s²].
-            load: (B, 10) mass [kg], centre of mass [m] in the flange's frame, inertia about it
-                (xx, yy, zz, xy, xz, yz) [kg·m²].
+            q: (B, n) position [rad].
+            qd: (B, n) velocity [rad/s].
+            qdd: (B, n) acceleration [rad/s²].
+            load: (B, 10) mass [kg], centre of mass [m] in the flange frame, inertia about the
+                centre of mass (xx, yy, zz, xy, xz, yz) [kg·m²].
         """
         moves = [rows @ self.joints for rows in (q, qd, qdd)] if self.coupled else [q, qd, qdd]
         pose = self._poses(moves[0])
@@ -321,7 +327,7 @@ class RigidTorque(nn.Module):
         return torque, gears
 
     def _poses(self, q: Tensor) -> Tensor:
-        """(B, n, 4, 4) of the links in the base."""
+        """Return the poses (B, n, 4, 4) of the links in the base frame."""
         angle = q.reshape(-1, self.n, 1, 1)
         step = self.still + torch.cos(angle) * self.cosine + torch.sin(angle) * self.sine
         if self.slides:
@@ -332,14 +338,14 @@ class RigidTorque(nn.Module):
         return torch.cat(poses, dim=1)
 
     def _twists(self, pose: Tensor) -> Tensor:
-        """(B, n, 4, 4) joint twists in the base frame, per unit of joint velocity."""
+        """Return the joint twists (B, n, 4, 4) in the base frame, per unit of joint velocity."""
         axis = (pose @ self.turning).reshape(-1, self.n, 4)
         turn = (axis @ self.skewed).reshape(-1, self.n, 4, 4)
         twist = turn @ (self.one - pose @ self.corner)
         return twist + pose @ self.sliding if self.slides else twist
 
     def _acceleration(self, twist: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """(B, n, 4, 4) V' + V² of each link, gravity subtracted."""
+        """Return V' + V² (B, n, 4, 4) of each link, with gravity subtracted."""
         v, a = (values.reshape(-1, self.n, 1, 1) for values in (qd, qdd))
         velocity = self._outwards(twist * v)
         bracket = velocity @ twist - twist @ velocity
@@ -354,11 +360,11 @@ class RigidTorque(nn.Module):
         return torque @ self.motors if self.coupled else torque
 
     def _outwards(self, each: Tensor) -> Tensor:
-        """Sums over the joints up to each link."""
+        """Return the sums of the values over the joints up to each link."""
         return (self.outwards @ each.reshape(-1, self.n, 16)).reshape(-1, self.n, 4, 4)
 
     def _mounted(self, load: Tensor) -> Tensor:
-        """(B, 1, 4, 4) pseudo-inertia of a load in the last link's frame."""
+        """Return the pseudo-inertia (B, 1, 4, 4) of a load in the frame of the last link."""
         about_centre = (load @ self.load_inertia).reshape(-1, 1, 4, 4)
         centre = load @ self.load_centre + self.load_origin
         mass = load[:, :1].reshape(-1, 1, 1, 1)
@@ -366,9 +372,9 @@ class RigidTorque(nn.Module):
 
 
 def _geometry(program: Program) -> dict[str, FloatArray]:
-    """Poses of the joints are still + cosine·cos q + sine·sin q + slide·q (Rodrigues).
+    """Return the constant matrices of the joints by buffer name, as exported files contain them.
 
-    The keys are names of buffers, which exported files contain.
+    The pose of a joint is still + cosine·cos q + sine·sin q + slide·q (Rodrigues).
     """
     n, geometry = program.n, program.geometry
     whole = np.zeros((4, n, 4, 4))
@@ -401,10 +407,10 @@ def _geometry(program: Program) -> dict[str, FloatArray]:
 
 
 def _load(program: Program) -> dict[str, FloatArray]:
-    """A load's ten numbers → its inertia about its centre, and where that is, in the last link."""
+    """Return matrices from a load's ten numbers to its inertia and its centre in the last link."""
     flange = program.flange
     inertia, centre = np.zeros((10, 4, 4)), np.zeros((10, 4))
-    # xx, yy, zz, xy, xz, yz among the parameters of a body
+    # Indices of xx, yy, zz, xy, xz, yz in the parameters of a body.
     for number, parameter in enumerate((4, 6, 9, 5, 7, 8)):
         inertia[4 + number] = flange @ pseudo_inertia(np.eye(10)[parameter]) @ flange.T
     centre[1:4] = flange[:, :3].T
@@ -416,11 +422,11 @@ def _load(program: Program) -> dict[str, FloatArray]:
 
 
 class LagrangianTorque(nn.Module):
-    """Torque of the network, and of the load by Newton and Euler.
+    """Torque of a Lagrangian network, plus the torque of the load by Newton–Euler.
 
     Args:
-        program: A program whose rigid bodies are zero.
-        terms: That network.
+        program: Program whose rigid bodies are zero.
+        terms: Lagrangian network.
     """
 
     def __init__(self, program: Program, terms: LagrangianTerms) -> None:
@@ -429,7 +435,7 @@ class LagrangianTorque(nn.Module):
         self.network = lagrangian_network(terms)
 
     def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, load: Tensor) -> tuple[Tensor, Tensor]:
-        """As `RigidTorque.forward`."""
+        """Return the torque and the gear torque, (B, n) [N·m], as `RigidTorque.forward`."""
         carried, _ = self.load(q, qd, qdd, load)
         found = self.network(q.to(SINGLE), qd.to(SINGLE), qdd.to(SINGLE))
         torque = found.to(torch.float64) + carried
@@ -437,7 +443,7 @@ class LagrangianTorque(nn.Module):
 
 
 def lagrangian_network(terms: LagrangianTerms) -> LagrangianNetwork:
-    """The network that the terms were read from; its weights do not learn."""
+    """Return the Lagrangian network for the passed terms, with frozen weights."""
     layers, n = terms.trunk, len(terms.unit)
     settings = NetworkSettings(
         hidden=tuple(len(bias) for bias in layers.biases[:-1]),
@@ -463,13 +469,13 @@ def lagrangian_network(terms: LagrangianTerms) -> LagrangianNetwork:
 
 
 class NetworkLaw(nn.Module):
-    """Friction by a network, dissipative or unconstrained.
+    """Friction that a network computes, either dissipative or unconstrained.
 
     Args:
-        friction: Of n joints.
+        friction: Friction network of n joints.
 
     Attributes:
-        parts: None; it has no memory.
+        parts: Empty list of state components, because network friction has no memory.
     """
 
     parts: tuple[tuple[str, int], ...] = ()
@@ -489,7 +495,7 @@ class NetworkLaw(nn.Module):
     def forward(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
     ) -> tuple[Tensor, Carried]:
-        """As `FrictionModule`."""
+        """Return the friction torque (B, n) [N·m] and the changed state, as `FrictionModule`."""
         q, qd = q.to(SINGLE), qd.to(SINGLE)
         speed = torch.abs(qd) + self.rest
         velocity = torch.log(speed) if self.dissipative else qd
@@ -508,7 +514,7 @@ class NetworkLaw(nn.Module):
 
 
 def _places(n: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """(n(n+1)/2, n²) entry of a lower triangle, row by row → place in the matrix."""
+    """Return the matrix (n(n+1)/2, n²) that places the entries of a lower triangle, row by row."""
     rows, columns = np.tril_indices(n)
     found = np.zeros((len(rows), n * n))
     found[np.arange(len(rows)), rows * n + columns] = 1.0
@@ -519,10 +525,10 @@ class PlainLaw(nn.Module):
     """Friction without memory.
 
     Args:
-        friction: Of n joints.
+        friction: Friction of n joints.
 
     Attributes:
-        parts: None; it has no memory.
+        parts: Empty list of state components, because this friction has no memory.
     """
 
     parts: tuple[tuple[str, int], ...] = ()
@@ -544,27 +550,27 @@ class PlainLaw(nn.Module):
     def forward(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
     ) -> tuple[Tensor, Carried]:
-        """As `FrictionModule`."""
+        """Return the friction torque (B, n) [N·m] and the changed state, as `FrictionModule`."""
         sign = torch.sign(qd) if self.hard else torch.tanh(qd / self.width)
         power = qd * torch.exp(self.bend * torch.log(qd * qd + self.square)) if self.bent else qd
         return self.coulomb * sign + self.viscous * power + self.offset, {}
 
 
 class MemoryLaw(nn.Module):
-    """Friction, ripple and drive of a law whose Dahl states are carried from sample to sample.
+    """Friction, ripple and drive effects of a friction law of the library, with Dahl's states.
 
     Args:
-        law: Of n joints.
+        law: Friction law of n joints.
 
     Attributes:
-        parts: Name and size of what it carries; zeros are the start.
+        parts: Name and size of each component of the module's state, which starts at zero.
     """
 
     def __init__(self, law: FrictionLaw) -> None:
         super().__init__()
         offset, weights = _weights(law)
         self.n = n = len(offset)
-        # Columns of as many factors behind each other, so that they are multiplied together.
+        # Columns are sorted by their number of factors, so that equal ones are multiplied together.
         self.columns = sorted((column.split(" * ") for column in weights), key=len)
         words = {word for column in self.columns for word in column}
         words |= {word[5:-1] for word in words if word.startswith("fabs(")}
@@ -605,7 +611,7 @@ class MemoryLaw(nn.Module):
     def forward(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
     ) -> tuple[Tensor, Carried]:
-        """As `FrictionModule`."""
+        """Return the friction torque (B, n) [N·m] and the changed state, as `FrictionModule`."""
         after: Carried = {}
         rows = [one.reshape(-1, 1, self.n) for one in (q, qd, gears)]
         known = self._factors(*rows)
@@ -621,7 +627,7 @@ class MemoryLaw(nn.Module):
         return (self._products(known) * self.weights).sum(dim=1) + self.offset, after
 
     def _factors(self, q: Tensor, v: Tensor, tau: Tensor) -> dict[str, Tensor]:
-        """Factors of the columns, each (B, 1, n), but for memory and warmth."""
+        """Return the factors of the columns, each (B, 1, n), without memory and temperature."""
         speed = torch.abs(v)
         known = {"v": v, "speed": speed, "tau": tau, "load": torch.abs(tau)}
         if self.peaks:
@@ -642,7 +648,7 @@ class MemoryLaw(nn.Module):
         return known
 
     def _products(self, known: dict[str, Tensor]) -> Tensor:
-        """(B, C, n) columns."""
+        """Return the columns (B, C, n)."""
         found = []
         for _, group in groupby(self.columns, key=len):
             first, *others = (
@@ -656,13 +662,15 @@ class MemoryLaw(nn.Module):
 
 
 def _dahl_step(states: Tensor, way: Tensor, qd: Tensor, shortness: Tensor) -> Tensor:
-    """(B, M, n) Dahl's states one step on: only what goes with the velocity counts as way.
+    """Return Dahl's states (B, M, n) after one step.
+
+    A displacement changes Dahl's state only if the displacement has the same sign as the velocity.
 
     Args:
-        states: (B, M, n) before.
-        way: (B, n) change of the positions.
+        states: (B, M, n) values of Dahl's states before the step.
+        way: (B, n) change of the positions during the step.
         qd: (B, n) velocities.
-        shortness: (M, n) −1/length of each state (negative): how fast it follows the way [1/rad].
+        shortness: (M, n) negative inverse length −1/length of each state [1/rad].
     """
     moved = torch.where(way * qd > 0.0, way, 0.0).reshape(-1, 1, states.shape[2])
     toward = torch.sign(moved)
@@ -670,7 +678,10 @@ def _dahl_step(states: Tensor, way: Tensor, qd: Tensor, shortness: Tensor) -> Te
 
 
 def _weights(law: FrictionLaw) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """(n,) constants, and every other column's coefficient of each joint; at least one column."""
+    """Return the constants (n,), and the coefficient of each joint for every other column.
+
+    The returned coefficients belong to at least one column.
+    """
     joints = terms_of(law)
     offset, weights = np.zeros(len(joints)), dict[str, FloatArray]()
     for j, terms in enumerate(joints):
@@ -685,18 +696,19 @@ def _weights(law: FrictionLaw) -> tuple[FloatArray, dict[str, FloatArray]]:
 
 
 def _split(names: list[str], values: Tensor) -> dict[str, Tensor]:
-    """Rows of (B, K, n) by name, each (B, 1, n)."""
+    """Return the rows of an array (B, K, n) by name, each (B, 1, n)."""
     return dict(zip(names, values.split(1, dim=1), strict=True))
 
 
 class ShapedLaw(nn.Module):
-    """The law of `hil.export.program`.
+    """PyTorch module for the friction law of `hil.export.program.ShapedFriction`.
 
     Args:
-        law: Of n joints.
+        law: Friction law of n joints.
 
     Attributes:
-        parts: Name and size of what it carries; zeros are the start. Empty without memory.
+        parts: Name and size of each component of the module's state, which starts at zero; empty
+            without memory.
     """
 
     def __init__(self, law: ShapedFriction) -> None:
@@ -727,7 +739,7 @@ class ShapedLaw(nn.Module):
     def forward(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
     ) -> tuple[Tensor, Carried]:
-        """As `FrictionModule`."""
+        """Return the friction torque (B, n) [N·m] and the changed state, as `FrictionModule`."""
         load = torch.abs(gears)
         speed = torch.clamp(torch.abs(qd) + self.more, min=self.least)
         sign = torch.tanh(qd / self.width) if self.width > 0 else torch.sign(qd)
@@ -750,18 +762,19 @@ def _power(base: Tensor, exponent: Tensor) -> Tensor:
 
 
 class StreamingTcn(nn.Module):
-    """The mean of a correction's networks, E cells of W channels side by side.
+    """Mean of the networks of a correction, computed as E parallel cells of W channels.
 
-    Arithmetic of the network is in single precision, as it was trained. The memory of every layer
-    is kept as what differs from the stream's first sample, which is taken to have lasted for ever
-    before: so zeros are the start, and nothing has to be filled.
+    The networks are computed in single precision, in which they were trained. The memory of every
+    layer is stored as the difference from the first sample of the stream. All values before the
+    stream are assumed to equal this first sample. The initial state of the network is therefore
+    zero and needs no initialisation.
 
     Args:
         correction: Networks whose inputs are the motion only (`inputs: motion`); at least one joint
-            uses them.
+            uses its network.
 
     Attributes:
-        parts: Name and size of what it carries; zeros are the start.
+        parts: Name and size of each component of the module's state, which starts at zero.
     """
 
     def __init__(self, correction: Correction) -> None:
@@ -787,15 +800,15 @@ class StreamingTcn(nn.Module):
     def forward(
         self, q: Tensor, qd: Tensor, qdd: Tensor, base: Tensor, begun: Tensor, carried: Carried
     ) -> tuple[Tensor, Carried]:
-        """What is added to the effort (B, n) of the physics, and what is carried on.
+        """Return the correction (B, n) of the effort of the physics, and the new state.
 
         Args:
-            q: (B, n) [rad].
-            qd: (B, n) [rad/s].
-            qdd: (B, n) [rad/s²].
+            q: (B, n) position [rad].
+            qd: (B, n) velocity [rad/s].
+            qdd: (B, n) acceleration [rad/s²].
             base: (B, n) effort of the physics.
-            begun: (B, 1) whether there was a sample before.
-            carried: What `parts` names.
+            begun: (B, 1) whether there was a previous sample.
+            carried: Values of the state components that `parts` lists.
         """
         h = self._entered(self._scaled_inputs(q, qd, qdd, base))
         after: Carried = {}
@@ -804,14 +817,14 @@ class StreamingTcn(nn.Module):
             first = torch.where(begun, carried[f"first {k}"], now)
             h = self._layer(k, h, first, ring)
             after[f"first {k}"] = first
-            # The oldest row leaves, this sample's comes behind.
+            # Drop the oldest row and append the row of this sample.
             after[f"ring {k}"] = torch.cat([ring[:, now.shape[1] :], now - first], dim=1)
         out = self._flat(torch.bmm(h, self.leave) + self.leave_bias).double()
         added = torch.minimum(torch.maximum(out @ self.share, -self.limit), self.limit)
         return added, after
 
     def _scaled_inputs(self, q: Tensor, qd: Tensor, qdd: Tensor, base: Tensor) -> Tensor:
-        """(S, B, F) inputs, scaled and held in the range of the training."""
+        """Return the network inputs (S, B, F), scaled and clipped to the training range."""
         if self.own:
             one = [values.reshape(-1, 1, self.n) for values in (qd, qdd, base)]
             signs = torch.tanh(one[0] * self.signs)
@@ -825,13 +838,13 @@ class StreamingTcn(nn.Module):
         return held.reshape(-1, self.sets, self.features).float().transpose(0, 1)
 
     def _entered(self, seen: Tensor) -> Tensor:
-        """(E, B, W): the branches of a network see the same."""
+        """Return the channels (E, B, W); all branches of a network have the same inputs."""
         branches = self.cells // self.sets
         h = torch.bmm(seen, self.enter).reshape(self.sets, -1, branches, self.width)
         return h.transpose(1, 2).reshape(self.cells, -1, self.width) + self.enter_bias
 
     def _layer(self, number: int, h: Tensor, first: Tensor, ring: Tensor) -> Tensor:
-        """(E, B, W) out of (E, B, W)."""
+        """Return the outputs (E, B, W) of a layer for its inputs (E, B, W)."""
         rows, past_taps = self.rows[number], self.settings.kernel - 1
         old = ring.reshape(-1, rows, self.cells * self.width)
         old = old[:, :: self.settings.dilations[number]]
@@ -843,7 +856,7 @@ class StreamingTcn(nn.Module):
         return h + (torch.tanh(total) if self.settings.activation == "tanh" else torch.relu(total))
 
     def _flat(self, h: Tensor) -> Tensor:
-        """(B, E·C) of (E, B, C)."""
+        """Return (E, B, C) as (B, E·C)."""
         return h.transpose(0, 1).reshape(-1, self.cells * h.shape[2])
 
     def _inputs(self, weights: CellWeights, correction: Correction) -> dict[str, FloatArray]:
@@ -864,7 +877,7 @@ class StreamingTcn(nn.Module):
         }
 
     def _weights(self, weights: CellWeights) -> dict[str, FloatArray]:
-        """Without the zeros that C fills up with, as factors of products over a cell."""
+        """Return the weights, without zero padding, as factors of products over a cell."""
         E, S, W, F, K = self.cells, self.sets, self.width, self.features, self.settings.kernel
         filled = weights.biases.shape[1]
         enter = weights.enter.reshape(E, -1, filled)[:, :F, :W]
@@ -886,8 +899,8 @@ class StreamingTcn(nn.Module):
 def register_constants(
     module: nn.Module, dtype: torch.dtype = torch.float64, /, **constants: FloatArray
 ) -> None:
-    """Make each array an attribute that goes with the module: a buffer, no parameter."""
+    """Register each array as a buffer of the module, which is not a trainable parameter."""
     for name, values in constants.items():
-        # An archive keeps whole arrays; torch would take over a transposed one's order.
+        # An archive stores whole arrays; torch would retain the memory order of a transposed one.
         whole = np.ascontiguousarray(values)
         module.register_buffer(name, torch.tensor(whole, dtype=dtype))

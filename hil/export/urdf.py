@@ -1,9 +1,10 @@
-"""An identified model as a URDF: for simulators, planners and controllers that know no other.
+"""Export of an identified model as a URDF for simulators, planners and controllers.
 
-A robot with a URDF of its own gets that file with other inertias and friction. Only what changes is
-touched, byte for byte: an XML library would write the file anew and lose its layout, comments and
-entities, so expat is asked where the elements are (`edited`). Of a built-in arm a new file is made
-(`written`). Either is read back and compared with the model's own predictions (`missed`).
+If the robot is defined by a URDF, the export writes that file with new inertias and friction. All
+other bytes of the URDF stay identical. An XML library would lose the layout, the comments and the
+entities of the URDF; expat therefore only locates the elements (`edited`). For a built-in arm the
+export writes a new file (`written`). In either case the written file is read back and compared with
+the predictions of the model (`missed`).
 """
 
 from __future__ import annotations
@@ -36,12 +37,15 @@ from hil.export.identified_parameters import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Miss:
-    """Of the file, as shares of each joint's largest torque of the kind, over all motions asked.
+    """Errors of the URDF over all motions, as shares of each joint's largest torque of that kind.
 
     Attributes:
-        rigid: (n,) the larger one of gravity's and of gravity and inertia together.
-        friction: (n,) friction and damping against the model's friction less a constant.
-        avoidable: (n,) by how much the best Coulomb and viscous friction misses less.
+        rigid: (n,) the larger of two errors: that of gravity alone, and that of gravity with
+            inertia.
+        friction: (n,) error of the URDF's friction and damping relative to the model's friction
+            without offset.
+        avoidable: (n,) part of the friction error that the best Coulomb and viscous friction would
+            avoid.
     """
 
     rigid: FloatArray
@@ -51,13 +55,13 @@ class Miss:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class UrdfExport(Exported):
-    """What was written, beside what every export says.
+    """Result of an export to URDF, in addition to the common fields.
 
     Attributes:
-        found: The parameters in it.
-        miss: Of the file read back, against the model.
-        edited: Whether the robot's own URDF was edited, or one was made for it.
-        turns: Which joints turn; the others slide.
+        found: Parameters that the file contains.
+        miss: Errors of the file relative to the model, after reading the file back.
+        edited: Whether the URDF of the robot was edited; otherwise a new URDF was written.
+        turns: Whether each joint is revolute; joints that are not revolute are prismatic.
     """
 
     found: IdentifiedParameters
@@ -66,9 +70,9 @@ class UrdfExport(Exported):
     turns: tuple[bool, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil export --to urdf --json`: every export's, and what is in the file.
+        """Return the documented output of `hil export --to urdf --json`.
 
-        Of joints that slide, what is in N·m is in N, and what is in N·m·s/rad in N·s/m.
+        For prismatic joints, N replaces the unit N·m, and N·s/m replaces N·m·s/rad.
         """
         n = len(self.joint_names)
         bodies = self.found.inertial[: 10 * n].reshape(n, 10)
@@ -89,19 +93,19 @@ class UrdfExport(Exported):
 
 
 def export_urdf(model: RobotEstimator, out: Path, *, unchecked: bool = False) -> UrdfExport:
-    """Write the arm of a fitted model as a URDF that, read back, has the model's torques.
+    """Write the arm of a fitted model as a URDF that reproduces the torques of the model.
 
     Args:
-        model: With a rigid part; loads are not part of it.
-        out: The file to be made.
-        unchecked: Write it although what is read back is not near the model; it is still said by
-            how much.
+        model: Fitted model with a rigid part; loads are not part of the URDF.
+        out: File that is created.
+        unchecked: Whether the file is written even if its torques deviate from the model by more
+            than the tolerance. The deviation from the model is reported in any case.
 
     Raises:
-        FitError: The model is not fitted, has no rigid part or one that URDF cannot represent, or
-            torques of the file, read back, differ from the model's by more than the tolerance.
-        PluginError: Consistent parameters have to be found and cvxpy is not installed.
-        RecordingError: The file exists already, or cannot be made.
+        FitError: The model is not fitted, has no rigid part, or has a rigid part that URDF cannot
+            represent; or the torques of the file deviate from the model by more than the tolerance.
+        PluginError: Consistent parameters must be computed and the package cvxpy is not installed.
+        RecordingError: The file already exists, or cannot be created.
     """
     require_new(out)
     if not hasattr(model, "sigma_"):
@@ -118,7 +122,7 @@ def export_urdf(model: RobotEstimator, out: Path, *, unchecked: bool = False) ->
         require_near(miss, found, robot.joint_names)
     write_file(content, out)
     own = robot.arm is None
-    made = "the robot's own URDF, edited" if own else "made from the built-in arm"
+    made = "the robot's own URDF, edited" if own else "written from the built-in arm"
     return UrdfExport(
         out=out,
         files=(out.name,),
@@ -135,17 +139,17 @@ def export_urdf(model: RobotEstimator, out: Path, *, unchecked: bool = False) ->
 
 
 def _require_joints(robot: RobotModel) -> None:
-    """Refuse motors that move more than one joint.
+    """Raise if a motor moves more than one joint.
 
     Raises:
-        FitError: It is such an arm.
+        FitError: A motor moves more than one joint.
     """
     if getattr(robot, "joints_per_motor", None) is not None:
         raise FitError(
-            f"{robot.name} is told in the angles of its motors, some of which move two joints; a "
-            "URDF knows joints with a rotor and a friction of their own",
-            hint="take --to json, which has `joints_per_motor`, or fit the arm in its joints: "
-            f"robot: {robot.name.split('@')[0]}",
+            f"{robot.name} is described in motor angles, and some motors move two joints; in a "
+            "URDF each joint has its own rotor and friction",
+            hint="use --to json, which contains `joints_per_motor`, or fit the arm in joint "
+            f"angles: robot: {robot.name.split('@')[0]}",
         )
 
 
@@ -167,31 +171,34 @@ def _content(model: RobotEstimator, found: IdentifiedParameters) -> bytes:
 
 
 def _mount(robot: RobotModel) -> tuple[str, ...]:
-    """How the arm is mounted, which no word of URDF says; nothing if upright."""
+    """Return a note on the mounting of the arm, which URDF cannot represent; empty if upright."""
     if np.allclose(robot.gravity_vector, GRAVITY, atol=1e-9):
         return ()
     x, y, z = (float(one) for one in robot.gravity_vector)
     told = f"({x:.6g}, {y:.6g}, {z:.6g}) m/s2"
-    return (f"URDF has no gravity: set {told} in the base frame after loading",)
+    return (f"URDF does not contain gravity: set {told} in the base frame after loading",)
 
 
 def _notes(robot: RobotModel, found: IdentifiedParameters, own: bool) -> tuple[str, ...]:
     notes = [*found.notes, *_mount(robot)]
     if np.any(found.inertial[10 * robot.n :] > 0):
-        notes.append("rotor inertias are in armature=…, which is no URDF: hil reads it, others not")
+        notes.append(
+            "rotor inertias are in armature=…, which is not part of URDF: hil reads it, "
+            "most other programs do not"
+        )
     if not np.all(robot.joint_geometry().turns):
-        notes.append("of joints that slide, torques are forces [N] and damping is in N·s/m")
+        notes.append("for prismatic joints, torques are forces [N] and damping is in N·s/m")
     if own:
-        notes.append("paths of meshes are as they were: keep the file beside the original")
+        notes.append("mesh paths are unchanged: keep the file in the folder of the original")
     return tuple(notes)
 
 
 UNLIMITED = 1e9
-"""Effort and speed of joints whose limits nobody knows: a URDF has no word for infinity."""
+"""Effort and speed for joints with unknown limits, because URDF cannot represent infinity."""
 
 
 def written(robot: RobotModel, found: IdentifiedParameters, comment: str) -> str:
-    """The URDF of a robot that has none of its own."""
+    """Return a new URDF for a robot that is not defined by a URDF."""
     geometry = robot.joint_geometry()
     links = ["base_link", *(_link_name(name) for name in robot.joint_names)]
     lines = ['<?xml version="1.0"?>', f"<!-- {plain(comment)} -->"]
@@ -238,7 +245,7 @@ def _numbers(values: FloatArray) -> str:
 
 
 def _number(value: float) -> str:
-    """Shortest text that reads back as the same number."""
+    """Return the shortest text from which the same number is read."""
     return repr(float(value) + 0.0)
 
 
@@ -263,7 +270,7 @@ def _flange(parent: str, pose: FloatArray) -> Iterator[str]:
 
 
 def inertial(body: FloatArray) -> str:
-    """`<inertial>` of ten parameters about the link's origin."""
+    """Return the element `<inertial>` for ten parameters about the origin of the link."""
     m, com, I = about_centre(body)  # noqa: E741
     names = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2))
     told = " ".join(f'{name}="{_number(I[i, j])}"' for name, i, j in (*names, ("izz", 2, 2)))
@@ -274,7 +281,10 @@ def inertial(body: FloatArray) -> str:
 
 
 def dynamics(found: IdentifiedParameters, j: int) -> str:
-    """`<dynamics>` of joint j; `armature` is no word of URDF, and most readers leave it out."""
+    """Return the element `<dynamics>` of joint j.
+
+    The attribute `armature` is not part of URDF, and most readers ignore it.
+    """
     rotor = found.inertial[10 * len(found.coulomb) + j]
     return (
         f'<dynamics damping="{_number(found.viscous[j])}" friction="{_number(found.coulomb[j])}" '
@@ -283,7 +293,10 @@ def dynamics(found: IdentifiedParameters, j: int) -> str:
 
 
 def roll_pitch_yaw(R: FloatArray) -> tuple[float, float, float]:
-    """Angles [rad] with R = Rz(yaw) Ry(pitch) Rx(roll); yaw is 0 where pitch is a right angle."""
+    """Return angles [rad] with R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    The yaw angle is 0 if the pitch angle is ±90°.
+    """
     across = math.hypot(R[0, 0], R[1, 0])
     pitch = math.atan2(-R[2, 0], across)
     if across < 1e-9:
@@ -292,7 +305,7 @@ def roll_pitch_yaw(R: FloatArray) -> tuple[float, float, float]:
 
 
 def plain(text: str) -> str:
-    """Text as a comment may hold it."""
+    """Return text that is permitted in an XML comment."""
     return text.replace("--", "- -")
 
 
@@ -300,7 +313,7 @@ MOVING = ("revolute", "continuous", "prismatic")
 
 
 class Edit(NamedTuple):
-    """Bytes `start` to `end` are replaced."""
+    """Edit of the URDF: replacement of the bytes from `start` to `end`."""
 
     start: int
     end: int
@@ -309,14 +322,14 @@ class Edit(NamedTuple):
 
 @dataclass(slots=True)
 class Element:
-    """Where a link or joint of the robot stands.
+    """Position of a link or joint element in the file, in bytes.
 
     Attributes:
-        start: Of its tag.
-        inside: First byte behind its start tag.
-        last: First byte of its end tag, or of the tag itself where it has none.
-        empty: Whether it is one tag alone.
-        parts: Start and end of its `<inertial>` or `<dynamics>`.
+        start: Position of the first byte of the start tag.
+        inside: Position of the first byte after the start tag.
+        last: Position of the first byte of the end tag, or of the element if it has no end tag.
+        empty: Whether the element consists of a single tag.
+        parts: Start and end of the `<inertial>` or `<dynamics>` element within the link or joint.
     """
 
     start: int
@@ -327,13 +340,15 @@ class Element:
 
 
 def edited(raw: bytes, inertials: Mapping[str, str], dynamics: Mapping[str, str]) -> bytes:
-    """A URDF with other inertias and joint dynamics.
+    """Return a URDF with new inertias and joint dynamics.
 
     Args:
-        raw: The file; known to be a serial arm.
-        inertials: Moving joint → `<inertial>` of the body behind it. It goes into the joint's
-            child; links fixed to that lose theirs, which it contains.
-        dynamics: Moving joint → its `<dynamics>`.
+        raw: Content of the URDF, which must describe a serial arm.
+        inertials: Mapping from each moving joint to the element `<inertial>` of the body that it
+            moves. The element `<inertial>` is written into the child link of the joint. Links that
+            are fixed to the child link lose their element `<inertial>`, because the body includes
+            them.
+        dynamics: Mapping from each moving joint to its element `<dynamics>`.
     """
     links, joints = _found(raw)
     edits: list[Edit] = []
@@ -350,7 +365,7 @@ def edited(raw: bytes, inertials: Mapping[str, str], dynamics: Mapping[str, str]
 
 
 def _found(raw: bytes) -> tuple[dict[str, Element], dict[str, Element]]:
-    """Links and joints by name, with where they stand."""
+    """Return links and joints by name, with their positions in the file."""
     found: dict[str, dict[str, Element]] = {"link": {}, "joint": {}}
     path: list[tuple[str, int]] = []
     current: list[Element] = []
@@ -367,7 +382,7 @@ def _found(raw: bytes) -> tuple[dict[str, Element], dict[str, Element]]:
         _, start = path.pop()
         inside = _tag_end(raw, start)
         empty = raw[inside - 2 : inside] == b"/>"
-        # Of a tag that ends itself, expat says the end is behind it.
+        # For a self-closing tag, expat reports the end after the tag.
         last = start if empty else parser.CurrentByteIndex
         if len(path) == 2 and tag in ("inertial", "dynamics") and path[1][0] in found:
             current[-1].parts[tag] = (start, _tag_end(raw, last))
@@ -380,7 +395,7 @@ def _found(raw: bytes) -> tuple[dict[str, Element], dict[str, Element]]:
 
 
 def _tag_end(raw: bytes, start: int) -> int:
-    """First byte behind the tag that begins at `start`; quotes may hold a `>`."""
+    """Return the position after the tag that begins at `start`; quoted text may contain `>`."""
     quote = 0
     for at in range(start, len(raw)):
         byte = raw[at]
@@ -394,7 +409,7 @@ def _tag_end(raw: bytes, start: int) -> int:
 
 
 def _put(raw: bytes, element: Element, part: str, text: str) -> Iterator[Edit]:
-    """The edit that gives an element this part, instead of the one it has or as a new one."""
+    """Yield the edit that replaces or adds a part of an element."""
     if part in element.parts:
         yield Edit(*element.parts[part], text)
     elif element.empty:
@@ -406,7 +421,7 @@ def _put(raw: bytes, element: Element, part: str, text: str) -> Iterator[Edit]:
 
 
 def bodies(raw: bytes) -> dict[str, tuple[str, tuple[str, ...]]]:
-    """Moving joint → its child link, and the links fixed to that."""
+    """Return, for each moving joint, its child link and the links that are fixed to the child."""
     root = ET.fromstring(raw)  # noqa: S314  a file of the user's own bench
     joints = root.findall("joint")
     carried: dict[str, list[str]] = {}
@@ -430,16 +445,19 @@ def _fixed_to(link: str, carried: Mapping[str, list[str]]) -> Iterator[str]:
 
 
 EXACT = 1e-9
-"""Largest miss where links have the model's parameters, as a share of a joint's largest torque."""
+"""Largest permitted torque error if the links have the model's parameters, as a share.
+
+The reference for the share is the largest torque of the joint.
+"""
 
 NEAR = 0.05
-"""The same where links only come near, and for friction beyond what Coulomb's and viscous leave."""
+"""Largest permitted error of links that approximate the model, and of avoidable friction error."""
 
 HZ = 100.0
 
 
 def missed(path: Path, model: RobotEstimator) -> Miss:
-    """What the file misses, read back, of `model.predict`."""
+    """Return the errors of the file relative to `model.predict`, after reading the file back."""
     robot = model.robot_
     again = RobotModel.from_urdf(
         path, gravity=robot.gravity_vector.tolist(), flange=str(robot.to_dict()["flange"])
@@ -462,7 +480,7 @@ def _friction_missed(path: Path, model: RobotEstimator) -> tuple[FloatArray, Flo
     largest = scale_of(wanted)
     left, least = np.empty((2, len(coulomb)))
     for j in range(len(coulomb)):
-        # URDF has no word for a constant, so that is nobody's fault.
+        # URDF cannot represent a constant, so the standard deviation ignores it.
         rest = wanted[:, j] - coulomb[j] * sign[:, j] - viscous[j] * qd[:, j]
         left[j] = np.std(rest) / largest[j]
         terms = np.column_stack([sign[:, j], qd[:, j], np.ones(len(qd))])
@@ -473,7 +491,7 @@ def _friction_missed(path: Path, model: RobotEstimator) -> tuple[FloatArray, Flo
 
 
 def _dynamics(path: Path, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
-    """Coulomb friction and damping (n,) as URDF's words stand in the file."""
+    """Return the attributes `friction` and `damping` (n,) as they are in the file."""
     joints = {one.get("name"): one for one in ET.parse(path).getroot().findall("joint")}  # noqa: S314
     told = [joints[name].find("dynamics") for name in names]
     return tuple(  # type: ignore[return-value]
@@ -483,28 +501,31 @@ def _dynamics(path: Path, names: tuple[str, ...]) -> tuple[FloatArray, FloatArra
 
 
 def share(found: FloatArray, wanted: FloatArray, *of: FloatArray) -> FloatArray:
-    """(n,) largest difference as a share of each joint's largest; NaN counts as endless."""
+    """Return the largest difference (n,), as a share of each joint's largest value.
+
+    A NaN among the values counts as an infinite difference.
+    """
     off: FloatArray = np.abs(found - wanted).max(axis=0) / scale_of(*of)
     return np.where(np.isnan(off), np.inf, off)
 
 
 def require_near(miss: Miss, found: IdentifiedParameters, names: tuple[str, ...]) -> None:
-    """Refuse what is not as near as it can be.
+    """Raise if the file deviates from the model by more than the permitted error.
 
     Raises:
-        FitError: Links that have the model's parameters miss its torques, others miss them by more
-            than `NEAR`, or there is friction that comes nearer to the model's.
+        FitError: Links with the model's parameters do not reproduce the model's torques, other
+            links deviate by more than `NEAR`, or a better approximation of the friction exists.
     """
     if found.exact and not np.all(miss.rigid <= EXACT):
         raise FitError(
-            "the URDF read back misses the model's gravity and inertia by "
+            "gravity and inertia of the URDF, read back, differ from the model's by "
             f"{miss.rigid.max():.1g} of a joint's largest torque",
             hint=FAULT,
         )
     if not np.all(miss.avoidable <= NEAR):
         raise FitError(
-            "friction and damping of the URDF read back are not those nearest to the model's: off "
-            f"by {miss.friction.max():.1g} of a joint's largest friction",
+            "friction and damping of the URDF, read back, are not the best approximation of the "
+            f"model's: difference {miss.friction.max():.1g} of a joint's largest friction",
             hint=FAULT,
         )
     if not np.all(miss.rigid <= NEAR):
@@ -512,22 +533,22 @@ def require_near(miss: Miss, found: IdentifiedParameters, names: tuple[str, ...]
             f"{name} {one:.0%}" for name, one in zip(names, miss.rigid, strict=True) if one > NEAR
         )
         raise FitError(
-            "no links that can exist come near the model's gravity and inertia; of a joint's "
-            f"largest torque they miss: {far}",
-            hint="fit rigid-lmi or rigid-hysteresis, which know links that can exist, or say "
-            "--unchecked to have these",
+            "no physically consistent links reproduce the model's gravity and inertia; largest "
+            f"errors as shares of the joint's largest torque: {far}",
+            hint="fit rigid-lmi or rigid-hysteresis, whose links are physically consistent, or "
+            "write these links with --no-check",
         )
 
 
 def words(miss: Miss, found: IdentifiedParameters) -> str:
-    """How well the file agrees, joint by joint where it does not."""
+    """Return a text about the agreement with the model, with one value per inexact joint."""
     if found.exact:
         rigid = f"largest difference {miss.rigid.max():.1e}"
     else:
-        rigid = f"missed by {_percent(miss.rigid)}"
+        rigid = f"error {_percent(miss.rigid)}"
     return (
-        f"read back, against the model: gravity and inertia {rigid} of each joint's largest "
-        f"torque; friction missed by {_percent(miss.friction)} of its largest"
+        f"read back and compared with the model: gravity and inertia: {rigid} of each joint's "
+        f"largest torque; friction: error {_percent(miss.friction)} of its largest"
     )
 
 

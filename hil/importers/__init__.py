@@ -1,8 +1,9 @@
-"""Datasets of run directories and of recordings of other tools, and the way back.
+"""Datasets from run directories and from recordings of other tools, and export of samples.
 
-`sources` turns a run directory or MCAP file into a dataset, `foreign_recordings` turns a file of
-another tool (CSV, MATLAB, ROS 2 bag, ur_rtde, one value per line) into an MCAP file, and
-`sample_export` writes samples for other programs. `hil.data` is pure and imports none of this.
+The module `sources` converts a run directory or MCAP file into a dataset, `foreign_recordings`
+converts a file of a different tool (CSV, MATLAB, ROS 2 bag, ur_rtde, one value per line) into an
+MCAP file, and `sample_export` writes samples for other programs. The package `hil.data` does not
+import `hil.importers`.
 """
 
 import lazy_loader

@@ -6,6 +6,7 @@ from .foreign_recordings import import_recording as import_recording
 from .import_map import ImportMap as ImportMap
 from .import_map import load_map as load_map
 from .import_map import map_schema as map_schema
+from .map_template import sample_map as sample_map
 from .passive_plan import PASSIVE_PLAN_FILE as PASSIVE_PLAN_FILE
 from .passive_plan import DetectedSteps as DetectedSteps
 from .passive_plan import Segmenter as Segmenter

@@ -1,8 +1,9 @@
-"""Completeness of a run: which steps of its plan were measured to their end.
+"""Completeness of a run: determination of the plan steps that were measured completely.
 
-The recording decides, not the event log: a kill loses the newest samples, and with them dwells that
-the log calls done. A dwell is complete when its rows alone satisfy the plan's rule, a trajectory
-when its rows reach its end and hardly any are missing.
+Completeness is determined from the recording and not from the event log: a kill loses the newest
+samples, including samples of dwells that the log already lists as done. A dwell counts as complete
+if its recorded rows satisfy the dwell rule of the plan. A trajectory counts as complete if its
+recorded rows reach its end and few samples are missing.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ from hil.robot import Status, n_joints_of
 
 @dataclass(frozen=True)
 class Completeness:
-    """The measured steps of a plan.
+    """Measuring steps of a plan, and which of them are complete.
 
     Attributes:
-        done: Measuring steps that are complete.
-        unsettled: Dwells among them that ran into their time-out.
-        expected: Measuring steps of the plan.
-        slowed: Measuring steps that lack a measurement at the planned speed.
+        done: Indices of the measuring steps that are complete.
+        unsettled: Indices of the complete dwells that ended by their time-out.
+        expected: Indices of all measuring steps of the plan.
+        slowed: Indices of the measuring steps that were never measured at the planned speed.
     """
 
     done: frozenset[int]
@@ -40,17 +41,17 @@ class Completeness:
 
     @property
     def missing(self) -> tuple[int, ...]:
-        """Measuring steps that are not complete, in order."""
+        """Indices of the measuring steps that are not complete, in order."""
         return tuple(step.index for step in self.expected if step.index not in self.done)
 
     def to_dict(self) -> dict[str, dict[str, int]]:
-        """Return how many steps of each kind are done, and of how many."""
+        """Return the number of complete steps and the number of planned steps, per kind of step."""
         total = Counter(step.kind for step in self.expected)
         done = Counter(step.kind for step in self.expected if step.index in self.done)
         return {kind: {"done": done[kind], "of": n} for kind, n in sorted(total.items())}
 
     def __str__(self) -> str:
-        """`650/650 dwells, 14/14 references`."""
+        """Return the counts as text, such as `650/650 dwells, 14/14 references`."""
         plural = {"trajectory": "trajectories", "weigh": "weighings"}
         return ", ".join(
             f"{n['done']}/{n['of']} {plural.get(kind, kind + 's')}"
@@ -59,14 +60,14 @@ class Completeness:
 
 
 def completeness_of(plan: Plan, recordings: Iterable[Path]) -> Completeness:
-    """Return the completeness of a run; torn and damaged recordings count as far as they are whole.
+    """Return the completeness of a run; intact parts of torn recordings are included.
 
     Args:
-        plan: The steps to measure.
-        recordings: `RunDirectory.recordings`.
+        plan: Plan with the measuring steps.
+        recordings: Paths of the recordings, as in `RunDirectory.recordings`.
 
     Raises:
-        DataError: A recording is no MCAP file at all, or of a newer hil.
+        DataError: A recording is not an MCAP file, or is from a newer version of hil.
     """
     expected = {step.index: step for step in plan if step.measures}
     done: set[int] = set()
@@ -92,7 +93,10 @@ def completeness_of(plan: Plan, recordings: Iterable[Path]) -> Completeness:
 
 
 def _steps_in(files: Iterable[Path]) -> Iterator[tuple[int, StructArray]]:
-    """Yield the steps of one attempt and their rows; a step may go on in the next part."""
+    """Yield the steps of one attempt with their rows.
+
+    A step can continue in the next part of the recording.
+    """
     last: StructArray | None = None
     for file in files:
         rows = recorded_rows(file)
@@ -111,23 +115,23 @@ def _joined(before: StructArray, rows: StructArray, file: Path) -> StructArray:
     if before.dtype == rows.dtype:
         return np.concatenate((before, rows))
     raise DataError(
-        f"{file} is of an arm with {n_joints_of(rows)} joints, the part before it of one with "
+        f"{file} contains {n_joints_of(rows)} joints, but the part before it contains "
         f"{n_joints_of(before)}",
-        hint="the files of two runs were mixed: take the run from a copy",
+        hint="the files of two runs were mixed: restore the run from a backup",
     )
 
 
 def recorded_steps(
     recordings: Iterable[Path], wanted: Collection[int]
 ) -> Iterator[tuple[dict[int, StructArray], set[int]]]:
-    """Yield the rows of the steps wanted, and every step that has any rows, attempt by attempt.
+    """Yield the rows of the requested steps and the indices of all steps, per attempt.
 
     Args:
-        recordings: `RunDirectory.recordings`.
-        wanted: Indices of steps.
+        recordings: Paths of the recordings, as in `RunDirectory.recordings`.
+        wanted: Indices of the steps whose rows are requested.
 
     Raises:
-        DataError: A recording is no MCAP file at all, or of a newer hil.
+        DataError: A recording is not an MCAP file, or is from a newer version of hil.
     """
     for _, files in groupby(recordings, attempt_of):
         rows_of_step: dict[int, StructArray] = {}
@@ -135,48 +139,52 @@ def recorded_steps(
         for index, rows in _steps_in(files):
             seen.add(index)
             if index in wanted:
-                # A view would keep the whole recording in memory.
+                # A view would retain the whole recording in memory.
                 rows_of_step[index] = rows.copy()
         yield rows_of_step, seen
 
 
 def step_is_complete(step: Step, rows: StructArray, plan: Plan) -> bool:
-    """Return whether the rows of one step, of one attempt and in order, are all that it needs."""
+    """Return whether the rows of one step are complete.
+
+    The rows must belong to one attempt and be in order.
+    """
     if step.kind == "trajectory":
         return _trajectory_is_whole(rows, step, plan)
     return dwell_is_over(rows, plan.dwell_rule(step))
 
 
 def dwell_is_over(rows: StructArray, rule: DwellRule) -> bool:
-    """Return whether a dwell has settled, or has taken as long as it may."""
+    """Return whether a dwell has settled or has reached its time-out."""
     elapsed = rows["device_time"][-1] - rows["device_time"][0]
     return dwell_settles(rows, rule) or bool(elapsed >= rule.timeout_s)
 
 
 def dwell_settles(rows: StructArray, rule: DwellRule) -> bool:
-    """Return whether the arm was at rest for long enough at some moment, by the engine's rule."""
+    """Return whether the arm was static for the time that the dwell rule requires."""
     quiet = np.abs(rows["qd"]).max(axis=1) < rule.settle_rad_s
     late = rows["device_time"] - rows["device_time"][0] >= rule.dwell_s
-    # Quiet samples in a row, up to and with each one.
+    # Number of consecutive static samples up to and including each sample.
     index = np.arange(1, len(rows) + 1)
     in_a_row = index - np.maximum.accumulate(np.where(quiet, 0, index))
     return bool((in_a_row >= rule.samples)[late].any())
 
 
 MISSING_AT_MOST = 0.05
-"""Share of a trajectory's samples; one that lacks more has to be measured again."""
+"""Maximum share of missing samples of a trajectory that counts as complete."""
 
 AT_END_RAD = 1e-3
-"""A trajectory that comes this near to its last set-point has been followed to its end."""
+"""Maximum distance between the last position of a complete trajectory and its last set-point
+[rad]."""
 
 
 def _trajectory_is_whole(rows: StructArray, step: Step, plan: Plan) -> bool:
-    """Return whether it was followed to its end, with nearly all of its samples."""
+    """Return whether a trajectory was followed to its end with nearly all of its samples."""
     assert step.motion is not None
     expected = plan.step_duration_s(step) * plan.rate_hz
     moving = rows[(rows["status"] & int(Status.MOVING)) != 0]
     if len(moving) < (1 - MISSING_AT_MOST) * expected - 1:
         return False
-    # An arm that was stopped also came to rest, but somewhere else.
+    # A stopped arm is static as well, but at a different position.
     off = np.abs(rows["q_target"][-1] - step.motion.q_end)
     return bool(np.nanmax(off, initial=0.0) < AT_END_RAD)

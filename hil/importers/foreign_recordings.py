@@ -1,7 +1,8 @@
-"""Import of a recording of another tool into an MCAP file that is described as our own are.
+"""Import of a recording of a different tool into an MCAP file with complete metadata.
 
-`import_recording` reads the file by its map, converts it to SI units, refuses or drops the rows
-that make no sense, and writes the samples with their origin: all of it or nothing.
+The function `import_recording` reads the file with its import map, converts it to SI units, rejects
+or drops implausible rows, and writes the samples with their origin. If the import fails, no MCAP
+file remains.
 """
 
 from __future__ import annotations
@@ -58,27 +59,29 @@ def import_recording(
     drop_bad_rows: bool = False,
     payload: AnyPayload | None = None,
 ) -> dict[str, Any]:
-    """Write a recording of another tool as an MCAP file of ours.
+    """Convert a recording of a different tool into an MCAP file of `hil`.
 
     Args:
-        file: What to import: a file, or the folder of a bag or of files that belong together.
-        map_file: YAML that says what its columns are, or an `ImportMap`.
-        out: The MCAP file to write.
-        format_: Overrides the map's format.
-        rows: First and last row, counted from 1 without the header, both included; the map's
-            windows do not apply.
-        drop_bad_rows: Leave rows out that make no sense instead of refusing.
-        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload` that was mounted; 0
-            for nothing; by default what the map says.
+        file: Path of the input: a file, or the folder of a bag or of files that belong together.
+        map_file: Path of the YAML file that describes the columns, or an `ImportMap`.
+        out: Path of the MCAP file to write.
+        format_: Input format that overrides the format in the map.
+        rows: Numbers of the first and last row, counted from 1 without the header, both included;
+            the windows of the map are then ignored.
+        drop_bad_rows: Whether to omit implausible rows instead of rejecting the file.
+        payload: Payload that is mounted: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a
+            `Payload`; 0 for no payload; by default the payload in the map.
 
     Returns:
-        `out`, `source`, `samples`, `dropped` (how many rows), where these stand
-        (`dropped_lines`, `dropped_messages` or `dropped_samples`), `notes`.
+        Report of the import with the keys `out`, `source`, `samples`, `dropped` (number of rows),
+        positions of the dropped rows (`dropped_lines`, `dropped_messages` or `dropped_samples`) and
+        `notes`.
 
     Raises:
-        SpecError: The map or the payload is not valid.
-        DataError: The file holds rows that make no sense (with their line numbers).
-        RecordingError: The output exists already, its folder does not, or it cannot be written.
+        SpecError: The import map or the payload is invalid.
+        DataError: The file contains implausible rows (the message lists their line numbers).
+        RecordingError: The output file exists already, its folder does not exist, or it cannot be
+            written.
     """
     path, out = path_of(file), path_of(out)
     load = payload_of(payload)
@@ -114,13 +117,14 @@ def import_recording(
 
 
 def _require_place(out: Path) -> None:
-    """Raise if the output cannot be made or would hide a file, before a long file is read."""
+    """Raise if the output cannot be created or exists, before a long input is read."""
     if out.exists():
-        raise RecordingError(f"{out} exists already", hint="choose another -o, or remove that file")
+        hint = "choose a different file for -o, or remove that file"
+        raise RecordingError(f"{out} exists already", hint=hint)
     if not out.parent.is_dir():
         raise RecordingError(
-            f"{out} cannot be made: there is no folder {out.parent}",
-            hint=f"make it first: mkdir -p {out.parent}",
+            f"cannot create {out}: there is no folder {out.parent}",
+            hint=f"create it first: mkdir -p {out.parent}",
         )
 
 
@@ -129,38 +133,39 @@ def _with_format(layout: ImportMap, format_: str | None) -> ImportMap:
         return layout
     if format_ not in get_args(FileFormat):
         raise SpecError(
-            f"there is no import format {format_!r}",
+            f"unknown import format {format_!r}",
             hint=did_you_mean(format_, get_args(FileFormat)),
         )
     return layout.model_copy(update={"format": format_})
 
 
 def _dropped_lines(path: Path, samples: ForeignSamples, drop_bad_rows: bool) -> list[int]:
-    """Return where the bad rows stand, if they may be dropped.
+    """Return the positions of the implausible rows if they can be dropped.
 
     Raises:
-        DataError: They may not, or fewer than two good ones are left.
+        DataError: Dropping rows is not allowed, or fewer than two valid rows remain.
     """
     bad = len(samples.problems)
     if bad and not drop_bad_rows:
         listing = "\n".join(samples.listing())
         raise DataError(
-            f"{path}: {bad} of {len(samples)} rows make no sense:\n{listing}",
-            hint="look at the file, or leave these rows out with --drop-bad-rows",
+            f"{path}: {bad} of {len(samples)} rows are invalid:\n{listing}",
+            hint="check the file, or exclude these rows with --drop-bad-rows",
         )
     if len(samples) - bad < 2:
         listing = "\n".join(samples.listing())
         raise DataError(
-            f"{path}: only {len(samples) - bad} of {len(samples)} rows make sense:\n{listing}",
-            hint="is this the right map for the file?",
+            f"{path}: only {len(samples) - bad} of {len(samples)} rows are valid:\n{listing}",
+            hint="check that the map describes this file",
         )
     return samples.bad_lines
 
 
 def _segments(rows: IntArray, windows: tuple[Window, ...]) -> IntArray:
-    """Return (N,) the index of the window of each row (numbered from 1); −1 outside all of them.
+    """Return the window index (N,) of each row; −1 for rows outside all windows.
 
-    Without windows, everything is one segment.
+    The row numbers in the argument `rows` start at 1. If there are no windows, all rows form one
+    segment.
     """
     if not windows:
         return np.zeros(len(rows), dtype=np.int64)
@@ -172,7 +177,8 @@ def _segments(rows: IntArray, windows: tuple[Window, ...]) -> IntArray:
 
 
 LISTED_LINES = 1000
-"""Dropped lines that are listed in the output; their number is always given."""
+"""Maximum number of dropped lines whose positions are stored in the output; the total number of
+dropped lines is always stored."""
 
 
 def _origin(
@@ -182,7 +188,7 @@ def _origin(
     place: str,
     dropped: list[int],
 ) -> dict[str, str]:
-    """Return the metadata of the output about where it came from; every value is text."""
+    """Return the origin of the samples as metadata of the output; every value is text."""
     return {
         "source": path.name,
         "source_sha256": json.dumps({file.name: sha256_of(file) for file in _files(path, layout)}),
@@ -195,7 +201,7 @@ def _origin(
 
 
 def _files(path: Path, layout: ImportMap) -> list[Path]:
-    """Return every file that was read."""
+    """Return the paths of all files that were read."""
     if layout.format == "ros2bag" and path.is_dir():
         return sorted(file for file in path.iterdir() if file.is_file())
     folder = path if path.is_dir() else path.parent
@@ -212,18 +218,19 @@ def _write_recording(
     origin: Mapping[str, str],
     windows: tuple[Window, ...] = (),
 ) -> None:
-    """Write the MCAP file; it appears under its name when it is whole, and not at all otherwise.
+    """Write the MCAP file; if writing fails, no file remains.
 
     Args:
-        out: The file to write.
-        samples: Good rows in SI units.
-        segments: (N,) number of the window each row belongs to, −1 outside.
-        layout: The map of the import.
-        origin: Where it came from, for the file's metadata.
-        windows: Those of the segments, in order; the load of one that has its own is stored.
+        out: Path of the file to write.
+        samples: Valid rows in SI units.
+        segments: (N,) window number of each row, −1 outside all windows.
+        layout: Import map.
+        origin: Metadata that describe the origin of the samples.
+        windows: Windows of the segments, in order; the payload of a window is stored if the window
+            has a separate payload.
 
     Raises:
-        RecordingError: The file exists already or cannot be written.
+        RecordingError: The output file exists already or cannot be written.
     """
     unit = "A" if layout.effort_kind == "current" else "N·m"
     rate = sample_rate(samples.columns["t"])
@@ -249,7 +256,7 @@ def _write_recording(
 
 
 def _robot_metadata(layout: ImportMap) -> dict[str, str]:
-    """Return the robot and the unit of its efforts; lists as JSON."""
+    """Return the robot description and the kind of its efforts, with lists as JSON text."""
     gains = layout.drive_gains_nm_a
     return {
         "model": layout.robot,
@@ -262,7 +269,7 @@ def _robot_metadata(layout: ImportMap) -> dict[str, str]:
 
 
 def _payload_metadata(load: Load) -> dict[str, str]:
-    """Return a load as metadata; every value as JSON text."""
+    """Return a payload as metadata, with every value as JSON text."""
     return {
         "mass_kg": repr(load.mass_kg),
         "com_m": json.dumps(load.com_m),
@@ -289,20 +296,24 @@ def _window_notes(
     file: str, layout: ImportMap, windows: tuple[Window, ...], inside: int
 ) -> Iterator[str]:
     if windows:
-        yield f"{inside} rows lie in the map's windows; the others belong to no trajectory"
+        yield f"{inside} rows are inside the map's windows; other rows have no trajectory"
     elif layout.windows:
-        # The arm does other things around a window, and a renamed file loses its own.
+        # Rows outside windows belong to other motions, and a renamed file no longer matches its
+        # window.
         yield f"no window of the map matches {file}: all rows used"
 
 
 def _load_notes(layout: ImportMap, windows: tuple[Window, ...]) -> Iterator[str]:
-    """Yield the load that the rows count as recorded with: an undeclared one spoils a fit."""
+    """Yield the payloads that are declared for the rows.
+
+    An undeclared payload distorts a fit.
+    """
     declared = "payload" in layout.model_fields_set
     own = [(window, window.payload) for window in windows if window.payload is not None]
     for window, load in own:
         yield f"declared load of rows {window.rows}: {load.mass_kg:g} kg"
     if declared:
-        yield f"declared load{' elsewhere' if own else ''}: {layout.payload.mass_kg:g} kg"
+        yield f"declared load{' of the other rows' if own else ''}: {layout.payload.mass_kg:g} kg"
     elif len(own) < max(1, len(windows)):
         yield (
             f"no load declared{' for the other rows' if own else ''}: 0 kg assumed; "

@@ -1,10 +1,10 @@
-"""Samples of a foreign file: as they stand in it, in SI units, and which rows make no sense.
+"""Samples of a file of a different tool: raw, in SI units, and with implausible rows marked.
 
-A reader fills `ForeignSamples` with the numbers of a file and notes the rows that it could not
-read. `to_si` applies the import map and notes the rows with values that cannot be: not finite,
-beyond a limit or the arm's range, out of time, or further from their neighbours than an arm moves.
-Nothing is dropped here: the import either refuses the file with these rows listed or leaves them
-out.
+A reader of a file format fills `ForeignSamples` with the numbers of the file and records the
+unreadable rows. The method `to_si` applies the import map and records the rows with implausible
+values: not finite, beyond a limit or the range of the arm, with invalid time stamps, or further
+from their neighbors than an arm can move. This module drops no rows: the import either rejects the
+file and lists the implausible rows, or omits these rows.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from hil.core import BoolArray, DataError, FloatArray, IntArray
 from hil.importers.import_map import SI_SYMBOL, ImportMap, Quantity, unit_named
 
 LISTED_ROWS = 10
-"""Bad rows that are listed in a message; their number is always given."""
+"""Maximum number of implausible rows listed in a message; their total number is always reported."""
 
 
 @dataclass(eq=False)
 class ForeignSamples:
-    """The samples of one file.
+    """Samples of one file of a different tool.
 
     Attributes:
-        columns: `t` (N,) and quantities (N, n), NaN where nothing could be read.
-        lines: (N,) where each sample stands in the file, counted from 1.
-        place: What `lines` counts: `line`, `message` or `sample`.
-        problems: Row (from 0) → what is wrong with it; the first problem of a row counts.
+        columns: Arrays by name: `t` (N,) and quantities (N, n), NaN if unreadable.
+        lines: (N,) position of each sample in the file, starting at 1.
+        place: Meaning of the numbers in `lines`: `line`, `message` or `sample`.
+        problems: Map from row (starting at 0) to the description of its first problem.
     """
 
     columns: dict[str, FloatArray]
@@ -43,39 +43,39 @@ class ForeignSamples:
         return len(self.lines)
 
     def blame(self, row: int, why: str) -> None:
-        """Note what is wrong with a row, unless it has a problem already."""
+        """Record a problem of a row, unless a problem of this row is already recorded."""
         self.problems.setdefault(int(row), why)
 
     @property
     def good(self) -> BoolArray:
-        """(N,) rows without a problem."""
+        """Mask (N,) of the rows without a problem."""
         keep = np.ones(len(self), dtype=bool)
         keep[list(self.problems)] = False
         return keep
 
     @property
     def bad_lines(self) -> list[int]:
-        """Where the bad rows stand in the file."""
+        """Positions in the file of the rows with a problem."""
         return [int(self.lines[row]) for row in sorted(self.problems)]
 
     def listing(self) -> Iterator[str]:
-        """Yield the first bad rows, one line each, and how many more there are."""
+        """Yield a text line for each of the first rows with a problem, and a count of the rest."""
         for row in sorted(self.problems)[:LISTED_ROWS]:
             yield f"  {self.place} {self.lines[row]}: {self.problems[row]}"
         if len(self.problems) > LISTED_ROWS:
             yield f"  … and {len(self.problems) - LISTED_ROWS} more"
 
     def window(self, rows: tuple[int, int]) -> ForeignSamples:
-        """Return rows first…last, counted from 1, both included.
+        """Return the rows from first to last, counted from 1, both included.
 
         Raises:
-            DataError: The window is empty or leaves the file.
+            DataError: The window of rows is empty or extends beyond the file.
         """
         first, last = rows
         if not 1 <= first <= last <= len(self):
             raise DataError(
                 f"rows {first}:{last} are not in the file, which has rows 1:{len(self)}",
-                hint="rows count from 1, the header is not one of them",
+                hint="rows are counted from 1, without the header",
             )
         span = slice(first - 1, last)
         shifted = {
@@ -85,20 +85,20 @@ class ForeignSamples:
         return ForeignSamples(columns, self.lines[span], self.place, shifted)
 
     def without_bad_rows(self) -> ForeignSamples:
-        """Return only the good rows."""
+        """Return only the rows without a problem."""
         keep = self.good
         columns = {name: values[keep] for name, values in self.columns.items()}
         return ForeignSamples(columns, self.lines[keep], self.place)
 
 
-# From the file's numbers to SI units
+# Conversion to SI units
 
 
 def to_si(samples: ForeignSamples, layout: ImportMap) -> ForeignSamples:
-    """Return the same rows in SI units, with the rows noted that make no sense.
+    """Return the same rows in SI units, with a problem recorded for each implausible row.
 
     Raises:
-        DataError: A unit is unknown.
+        DataError: A unit in the import map is unknown.
     """
     time = layout.columns.t
     if time.rate_hz is None:
@@ -137,24 +137,24 @@ def _quantity_to_si(
 def _factor(text: str) -> tuple[float, float]:
     unit = unit_named(text)
     if unit is None:
-        raise DataError(f"{text!r} is no unit", hint="see the units in docs/reference/maps.md")
+        raise DataError(f"{text!r} is not a unit", hint="see the units in docs/reference/maps.md")
     return unit.factor, unit.offset
 
 
-# Rows that make no sense
+# Detection of implausible rows
 
 
 ABSURD = 1e6
-"""No joint quantity in SI units is larger."""
+"""Upper bound of the magnitude of every joint quantity in SI units."""
 
 ABSURD_TIME_S = 1e11
-"""Unix time in milliseconds that was declared as seconds is larger."""
+"""Upper bound of a time stamp [s], smaller than Unix time in milliseconds declared as seconds."""
 
 
 def _check_values(
     samples: ForeignSamples, name: str, values: FloatArray, limit: FloatArray, unit: str
 ) -> None:
-    """Note rows of a quantity (N,) or (N, n) that are not finite or beyond `limit`."""
+    """Record rows of a quantity (N,) or (N, n) that are not finite or exceed `limit`."""
     table = values.reshape(len(values), -1)
     with np.errstate(invalid="ignore"):
         wrong = ~(np.abs(table) <= np.minimum(limit, ABSURD_TIME_S if name == "t" else ABSURD))
@@ -165,11 +165,11 @@ def _check_values(
 
 
 RANGE_MARGIN = 1.1
-"""Times the range of a joint."""
+"""Factor by which the joint range of an arm is multiplied to detect implausible positions."""
 
 
 def _check_range(samples: ForeignSamples, robot: str) -> None:
-    """Note positions far outside a built-in arm's range: degrees that were declared as radians."""
+    """Record positions far outside the range of a built-in arm, such as degrees read as rad."""
     if robot not in arm_names() or "q" not in samples.columns:
         return
     arm, q = load_arm(robot), samples.columns["q"]
@@ -179,7 +179,7 @@ def _check_range(samples: ForeignSamples, robot: str) -> None:
 
 
 def _check_time(samples: ForeignSamples, t: FloatArray) -> None:
-    """Note the fewest rows without which time increases strictly."""
+    """Record the smallest set of rows whose removal makes time increase strictly."""
     good = np.flatnonzero(samples.good)
     if np.all(np.diff(t[good]) > 0):
         return
@@ -190,7 +190,10 @@ def _check_time(samples: ForeignSamples, t: FloatArray) -> None:
 
 
 def _longest_increasing(t: FloatArray) -> IntArray:
-    """Return indices of a longest strictly increasing subsequence, the first of equal stamps."""
+    """Return the indices of a longest strictly increasing subsequence of time stamps.
+
+    Of several samples with the same time stamp, the first sample is used.
+    """
     ends: list[float] = []
     at: list[int] = []
     before = np.full(len(t), -1, dtype=np.int64)
@@ -208,7 +211,7 @@ def _longest_increasing(t: FloatArray) -> IntArray:
 
 
 SHORTEST_RUN = 5
-"""Rows between two impossible jumps; fewer are garbage, more are a recording."""
+"""Minimum number of rows between two position jumps; a shorter group of rows is invalid."""
 
 JUMP_MARGIN_RAD = 0.02
 
@@ -216,7 +219,10 @@ JUMP_MARGIN_RAD = 0.02
 def _check_jumps(
     samples: ForeignSamples, t: FloatArray, q: FloatArray, fastest: FloatArray
 ) -> None:
-    """Note short runs of rows that no arm could have reached or left at its `fastest` [rad/s]."""
+    """Record short groups of rows that cannot be reached at the maximum speed.
+
+    The maximum speed `fastest` is in rad/s.
+    """
     while True:
         good = np.flatnonzero(samples.good)
         if len(good) <= SHORTEST_RUN:

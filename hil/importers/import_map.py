@@ -1,8 +1,9 @@
-"""The import map: a YAML file that describes the columns of a recording of another tool.
+"""Import map: a YAML file that describes the columns of a recording of a different tool.
 
-An `ImportMap` says which column holds which quantity of which joint, in which unit and scale, and
-what the file itself does not say: robot, load, drive gains, which rows are trajectories. It is as
-strict as a spec; every mistake is reported at its line and column (`load_map`).
+An `ImportMap` assigns columns to quantities and joints, with unit and scale. An import map also
+contains the information that is missing in the recording: robot, payload, drive gains, and the rows
+of each trajectory. Import maps are validated as strictly as specs; every error in a map is reported
+with its line and column (`load_map`).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from hil.spec import (
 
 FileFormat = Literal["csv", "ur_rtde", "interleaved", "mat", "ros2bag"]
 Address: TypeAlias = int | str
-"""Number (from 1) or name of a column."""
+"""Identifier of a column: number (starting at 1) or name."""
 
 # Units
 
@@ -54,10 +55,10 @@ QUANTITY_DIMENSIONS = {
     "effort_target": ("current", "torque"),
     "torque_target": ("torque",),
 }
-"""Dimensions that each quantity of a recording may have."""
+"""Allowed physical dimensions of each quantity of a recording."""
 
 QUANTITIES = tuple(name for name in QUANTITY_DIMENSIONS if name != "t")
-"""Everything but time that a map can name."""
+"""Names of all quantities except time."""
 
 SI_SYMBOL = {
     "time": "s",
@@ -80,7 +81,10 @@ _SPELLINGS = {"°": "deg", "°c": "c", "°f": "f", "µs": "us", "sec": "s", "amp
 
 
 def unit_named(text: str) -> Unit | None:
-    """Return the unit of a spelling: `deg/s`, `deg_s`, `N·m`, `Nm`, `mA`, …; None if unknown."""
+    """Return the unit that a text such as `deg/s`, `deg_s`, `N·m`, `Nm`, `mA` denotes.
+
+    The function returns None if the unit is unknown.
+    """
     plain = text.strip().casefold().replace("·", "").replace("*", "").replace("^", "")
     plain = plain.replace("²", "2")
     suffix = "_".join(_SPELLINGS.get(part, part) for part in plain.split("/"))
@@ -88,7 +92,7 @@ def unit_named(text: str) -> Unit | None:
 
 
 def units_of(dimensions: tuple[str, ...]) -> list[str]:
-    """Return symbols of the units that measure any of these dimensions."""
+    """Return the symbols of all units that have one of these dimensions."""
     known = {**UNITS, **_MORE}.values()
     return [unit.symbol for unit in known if unit.dimension in dimensions]
 
@@ -97,27 +101,27 @@ def units_of(dimensions: tuple[str, ...]) -> list[str]:
 
 
 MOST_COLUMNS = 10_000
-"""A range over more is a slip."""
+"""Maximum number of columns in a range of columns; a larger range counts as a mistake."""
 
 _SPAN = re.compile(r"([0-9]+):([0-9]+)")
 _MOST_DIGITS = 15
 
 
 def _expanded(value: Any) -> Any:
-    """`7` → [7]; `"2:7"` → [2, …, 7]; a name → [name]."""
+    """Return a list of column addresses: `7` → [7]; `"2:7"` → [2, …, 7]; a name → [name]."""
     if isinstance(value, bool) or not isinstance(value, int | str):
         return value
     if span := _SPAN.fullmatch(str(value).replace(" ", "")):
-        # Python refuses to convert thousands of digits; so many are too large in any case.
+        # Python does not convert thousands of digits, and such numbers are too large in any case.
         first, last = (int(number[:_MOST_DIGITS]) for number in span.groups())
         if not first <= last < first + MOST_COLUMNS:
-            raise mistake(f"a range goes from low to high, over {MOST_COLUMNS} columns at most")
+            raise mistake(f"a range must increase and contain at most {MOST_COLUMNS} columns")
         return list(range(first, last + 1))
     return [value]
 
 
 def _counted_from_one(addresses: tuple[Address, ...]) -> tuple[Address, ...]:
-    # Column 0 would silently be the last one.
+    # Column 0 would silently select the last column.
     if any(isinstance(address, int) and address < 1 for address in addresses):
         raise mistake("columns are counted from 1")
     return addresses
@@ -128,7 +132,7 @@ def _as_list(value: Any) -> Any:
 
 
 def _one_or_list(one: dict[str, Any]) -> WithJsonSchema:
-    """Return the schema of what stands in the file, before a single value becomes a list."""
+    """Return the JSON schema of a value that the file can give as a single value or as a list."""
     return WithJsonSchema({"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]})
 
 
@@ -161,52 +165,53 @@ Rows = Annotated[
 ]
 
 
-# The map
+# Import map
 
 
 class Quantity(Strict):
-    """One measured quantity of all joints.
+    """Measured quantity of all joints of a recording.
 
-    In the file's unit, `value = scale · number + offset`; then `matrix` mixes the joints, and the
-    result is turned into SI.
+    In the unit of the file, the value is `value = scale · number + offset`; then `matrix` combines
+    the joints, and the combined value is converted to SI units.
     """
 
     columns: Addresses | None = Field(
         None,
-        description="One per joint: numbers from 1 (`2:7` or a list) or names from the header; "
-        "in .mat files variables (`rec.q`, or `rec.q[1]` for its first row). May be left out "
-        "where the format has its own names.",
+        description="One column per joint: numbers from 1 (`2:7` or a list) or names from the "
+        "header; in .mat files variables (`rec.q`, or `rec.q[1]` for its first row). Optional "
+        "for formats whose column names are fixed.",
     )
     unit: str = Field(description="Unit in the file, such as rad, deg, rad/s, rpm, A, mA, N·m.")
-    scale: PerJoint = Field((1.0,), description="Factor for all joints, or one per joint.")
-    offset: PerJoint = Field((0.0,), description="Added after scaling, in the file's unit.")
+    scale: PerJoint = Field((1.0,), description="Factor for all joints, or one factor per joint.")
+    offset: PerJoint = Field((0.0,), description="Offset added after scaling, in the file's unit.")
     matrix: tuple[tuple[Finite, ...], ...] | None = Field(
-        None, description="n × n: joint values from the file's values, for coupled wrists."
+        None, description="n × n matrix from values of the file to joint values (coupled wrists)."
     )
     file: str | None = Field(
-        None, description="File beside the one imported, when every quantity has its own."
+        None, description="File beside the imported one, if every quantity has a separate file."
     )
     limit: PerJoint | None = Field(
-        None, description="Larger magnitudes, in the file's unit, are garbage."
+        None, description="Limit in the unit of the file; larger magnitudes are invalid."
     )
-    optional: bool = Field(
-        False, description="Leave the quantity out where a file lacks its columns."
-    )
+    optional: bool = Field(False, description="Omit the quantity if the file lacks its columns.")
 
 
 class Time(Strict):
-    """Where the time stamps are; they may be uneven, but must increase."""
+    """Time stamps of the samples, which must increase but can be unevenly spaced."""
 
-    columns: Addresses | None = Field(None, description="The column, by number or name.")
-    unit: str = Field("s", description="s, ms, us or ns.")
+    columns: Addresses | None = Field(None, description="Time column, by number or name.")
+    unit: str = Field("s", description="Unit of the time stamps: s, ms, us or ns.")
     rate_hz: Positive | None = Field(
-        None, description="For files without time stamps: the sample rate."
+        None, description="Sample rate, for files without time stamps."
     )
-    file: str | None = Field(None, description="File beside the one imported.")
+    file: str | None = Field(None, description="File with the time stamps, beside the other file.")
 
 
 class Columns(Strict):
-    """Which columns hold what; `q` and `effort` are needed and cannot be optional."""
+    """Assignment of columns to quantities; `q` and `effort` are required.
+
+    The quantities `q` and `effort` must not be marked as optional.
+    """
 
     t: Time = Time()
     q: Quantity
@@ -221,38 +226,44 @@ class Columns(Strict):
 
 
 class Window(Strict):
-    """Rows that belong to one trajectory; around it the arm does other things."""
+    """Range of rows of one trajectory; rows outside all ranges belong to other motions."""
 
     rows: Rows = Field(description="First and last row, counted from 1.")
-    file: str = Field("*", description="Name or pattern of the files this holds for.")
-    payload: Load | None = Field(None, description="Its own load; by default the map's.")
+    file: str = Field("*", description="Name or pattern of the files that the window applies to.")
+    payload: Load | None = Field(
+        None, description="Load of these rows; by default the load of the map."
+    )
 
     @property
     def span(self) -> tuple[int, int]:
-        """First and last row, counted from 1, both included."""
+        """Numbers of the first and last row, counted from 1, both included."""
         first, last = self.rows.split(":")
         return int(first), int(last)
 
 
 class ImportMap(Strict):
-    """What a file of another tool holds, so that it is as well described as our own."""
+    """Description of a file of a different tool, with the same information as a `hil` recording."""
 
     hil_map: FormatVersion = Field(description="Version of the map format.")
     description: str = ""
     format: FileFormat
-    robot: str = Field(description="Built-in arm, URDF, or just a label.")
-    joint_names: tuple[str, ...] = Field(min_length=1, description="Base to flange.")
+    robot: str = Field(description="Built-in arm, URDF file, or a free label.")
+    joint_names: tuple[str, ...] = Field(min_length=1, description="Names from base to flange.")
     effort_kind: Literal["current", "torque"]
     drive_gains_nm_a: tuple[Positive, ...] | None = None
     drive_gains_source: str = ""
-    serial: str = Field("", description="Serial number: recordings of two arms are not pooled.")
+    serial: str = Field(
+        "", description="Serial number; recordings of different arms are not pooled."
+    )
     payload: Load = Load()
-    header: bool = Field(False, description="The first line names the columns.")
-    delimiter: str = Field(",", description="Between columns; `whitespace` for any of it.")
+    header: bool = Field(False, description="Whether the first line contains column names.")
+    delimiter: str = Field(
+        ",", description="Delimiter between columns; `whitespace` for spaces and tabs."
+    )
     decimal: Literal[".", ","] = "."
-    topic: str = Field("/joint_states", description="ROS 2 bags: where the JointStates are.")
+    topic: str = Field("/joint_states", description="ROS 2 bags: topic of the joint states.")
     stamp: Literal["header", "log"] = Field(
-        "header", description="ROS 2 bags: time of the message's header, or of its logging."
+        "header", description="ROS 2 bags: time stamp of the message header, or of the logging."
     )
     columns: Columns
     windows: tuple[Window, ...] = ()
@@ -263,18 +274,24 @@ class ImportMap(Strict):
         return len(self.joint_names)
 
     def with_payload(self, payload: Payload) -> ImportMap:
-        """Return the map with this load for every row, whatever it and its windows declare."""
+        """Return a copy of the map in which this payload applies to every row.
+
+        The payload overrides the payloads of the map and its windows.
+        """
         load = Load(mass_kg=payload.mass, com_m=payload.com, inertia_kgm2=payload.inertia)
         windows = tuple(window.model_copy(update={"payload": None}) for window in self.windows)
         return self.model_copy(update={"payload": load, "windows": windows})
 
     def quantities(self) -> dict[str, Quantity]:
-        """Return the quantities of the map by field of the base robot record or `torque_target`."""
+        """Return the quantities by field name.
+
+        The names are fields of the base robot record or `torque_target`.
+        """
         named = ((name, getattr(self.columns, name)) for name in QUANTITIES)
         return {name: quantity for name, quantity in named if quantity is not None}
 
     def windows_of(self, file: str) -> tuple[Window, ...]:
-        """Return the windows that apply to a file of this name."""
+        """Return the windows of rows that apply to a file of this name."""
         return tuple(window for window in self.windows if fnmatch(file, window.file))
 
     @model_validator(mode="after")
@@ -284,7 +301,7 @@ class ImportMap(Strict):
             raise mistake(f"needs {n} values, one per joint", "drive_gains_nm_a")
         for name, quantity in self.quantities().items():
             if quantity.optional and name in ("q", "effort"):
-                raise mistake("is needed, so it cannot be optional", "columns", name, "optional")
+                raise mistake("is required and cannot be optional", "columns", name, "optional")
             _check_lengths(name, quantity, n)
             _check_unit(name, quantity.unit)
         _check_unit("t", self.columns.t.unit)
@@ -307,7 +324,7 @@ def _check_unit(name: str, text: str) -> None:
     unit = unit_named(text)
     if unit is None or unit.dimension not in dimensions:
         known = ", ".join(units_of(dimensions))
-        raise mistake(f"{text!r} is no unit of {name}: use {known}", "columns", name, "unit")
+        raise mistake(f"{text!r} is not a unit of {name}: use {known}", "columns", name, "unit")
 
 
 def _check_effort(layout: ImportMap) -> None:
@@ -322,10 +339,11 @@ def _check_effort(layout: ImportMap) -> None:
 
 
 def load_map(path: str | Path) -> ImportMap:
-    """Return the import map of a file.
+    """Return the import map that is stored in a file.
 
     Raises:
-        SpecError: With a line `file:line:column: path: message` for every problem.
+        SpecError: The map is invalid; the message contains one line `file:line:column: path:
+            message` for every problem.
     """
     source = read_source(path)
     if not isinstance(source.data, dict) or "hil_map" not in source.data:
@@ -343,7 +361,7 @@ def load_map(path: str | Path) -> ImportMap:
 
 
 def map_schema() -> dict[str, Any]:
-    """Return the JSON Schema (draft 2020-12) of import maps, for editors: `hil schema map`."""
+    """Return the JSON Schema (draft 2020-12) of import maps for editors: `hil schema map`."""
     head = {"$schema": DIALECT, "$id": "urn:hil:schema:map:1", "title": "hil map"}
     schema = ImportMap.model_json_schema()
     return head | {key: value for key, value in schema.items() if key not in head}

@@ -1,4 +1,4 @@
-"""MATLAB files: variables and fields of structs, with the joints along either axis."""
+"""Reading of MATLAB files: variables and struct fields, with the joints along either axis."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ _INDEXED = re.compile(r"(.+)\[(\d+)\]")
 
 
 class _Missing(DataError):
-    """There is no such variable."""
+    """Error for a variable that does not exist in a file."""
 
 
 def read_matlab(path: Path, layout: ImportMap) -> ForeignSamples:
-    """Return the variables that a map names.
+    """Return the variables of a MATLAB file that are named in an import map.
 
-    A quantity is one variable with a row or column per joint (`rec.q`), or one address per joint
-    (`rec.q[1]`: the first row or column, counted from 1).
+    A quantity of the map is one variable with a row or column per joint (`rec.q`), or one address
+    per joint (`rec.q[1]`: the first row or column, counted from 1).
 
     Raises:
-        DataError: The file cannot be read, or a variable is missing or of the wrong shape.
+        DataError: The file cannot be read, or a variable is missing or has an unexpected shape.
     """
     variables = _load(path)
     time = layout.columns.t
@@ -34,8 +34,8 @@ def read_matlab(path: Path, layout: ImportMap) -> ForeignSamples:
     if time.rate_hz is None:
         if not time.columns:
             raise DataError(
-                "the map names no variable for t, and no rate either",
-                hint="add columns.t with a variable, or rate_hz",
+                "the map contains neither a variable for t nor a rate",
+                hint="add columns.t with a variable, or with rate_hz",
             )
         columns["t"] = np.ravel(_variable(variables, str(time.columns[0]), path))
     for name, quantity in layout.quantities().items():
@@ -53,7 +53,7 @@ def read_matlab(path: Path, layout: ImportMap) -> ForeignSamples:
     if len(set(lengths.values())) != 1:
         raise DataError(
             f"{path}: the variables differ in length: {lengths}",
-            hint="name variables of one and the same recording",
+            hint="use variables of the same recording",
         )
     return ForeignSamples(columns, np.arange(1, lengths["q"] + 1), "sample")
 
@@ -71,13 +71,13 @@ def _load(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, TypeError, IndexError) as error:
         raise DataError(
             f"cannot read {path} as a MATLAB file: {error}",
-            hint="save it with -v7; files of version 7.3 are HDF5, which is not read",
+            hint="save it with -v7; files of version 7.3 (HDF5) are not supported",
         ) from error
     return {name: value for name, value in variables.items() if not name.startswith("__")}
 
 
 def _variable(variables: dict[str, Any], address: str, path: Path) -> FloatArray:
-    """Return the array at a dotted path through structs."""
+    """Return the array at a dotted path through nested structs."""
     place: Any = variables
     for step in address.split("."):
         fields = place if isinstance(place, dict) else getattr(place, "__dict__", {})
@@ -89,7 +89,7 @@ def _variable(variables: dict[str, Any], address: str, path: Path) -> FloatArray
         return np.asarray(place, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise DataError(
-            f"{path}: the variable {address!r} is not numeric", hint="name a numeric array"
+            f"{path}: the variable {address!r} is not numeric", hint="use a numeric array"
         ) from error
 
 
@@ -120,7 +120,7 @@ def _joint(variables: dict[str, Any], address: str, path: Path) -> FloatArray:
 
 
 def _oriented(values: FloatArray, n: int, address: str) -> FloatArray:
-    """Return an array with samples first; a square one as it is."""
+    """Return an array with samples along the first axis; a square array is unchanged."""
     if values.ndim == 1:
         values = values[:, None]
     if values.ndim == 2 and values.shape[1] == n:
@@ -129,5 +129,5 @@ def _oriented(values: FloatArray, n: int, address: str) -> FloatArray:
         return np.ascontiguousarray(values.T)
     raise DataError(
         f"{address!r} is of shape {values.shape}, not samples × {n} joints",
-        hint="name the variable of positions, or transpose it in the file",
+        hint="use the variable with the positions, or transpose it in the file",
     )

@@ -1,12 +1,12 @@
-"""The plan of a passive recording: dwells and moves detected while the rows come.
+"""Plan of a passive recording: dwells and motions are detected while the rows are received.
 
-A robot that another program moves is recorded without a plan. `Segmenter` numbers its rows before
-they are written, so that the recording has the segments that a plan would give it: even ones move,
-odd ones are dwells. `DetectedSteps` sums the segments up as the steps of a plan; its document takes
-the place of `plan.json` in the run directory.
+A robot that a different program moves is recorded without a plan. The class `Segmenter` numbers the
+rows of a passive recording before they are written, so that the recording has segments as with a
+plan: even segments are motions, odd segments are dwells. The class `DetectedSteps` converts the
+segments to the steps of a plan; its document replaces `plan.json` in the run directory.
 
-Where the rows of a whole recording are at hand, `hil.data.dwells_of` detects dwells instead. Both
-use the same rule, `hil.data.RestRule`.
+If the rows of a whole recording are available, `hil.data.dwells_of` detects dwells instead. This
+module and `hil.data.dwells_of` use the same rule, `hil.data.RestRule`.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from hil.data import RestRule
 from hil.planning import DwellRule
 
 PASSIVE_PLAN_FILE = "found.json"
-"""File of the run directory that takes the place of `plan.json`."""
+"""Name of the file with the detected plan, which replaces `plan.json` in the run directory."""
 
 PASSIVE_PLAN_FORMAT = 1
 
 
 class Segmenter:
-    """Gives every row the number of its segment; rows that may become a dwell are held back.
+    """Numbering of rows by segment; rows that are possibly the start of a dwell are buffered.
 
     Args:
-        rule: When an arm counts as being at rest.
+        rule: Criterion for counting an arm as static.
     """
 
     def __init__(self, rule: RestRule | None = None) -> None:
         self._rule = rule or RestRule()
         self._segment = 0
-        self._rest_pose: FloatArray | None = None  # of the dwell that the newest rows belong to
+        self._rest_pose: FloatArray | None = None  # pose of the dwell that contains the newest rows
         self._held_back: StructArray | None = None
 
     def feed(self, rows: StructArray) -> StructArray:
-        """Return the rows whose segment is known by now, those held back before them first.
+        """Return the rows whose segment is known, starting with the buffered rows.
 
         Args:
-            rows: (N,) state rows in order; their `segment` is overwritten.
+            rows: (N,) state rows in order; the field `segment` of the rows is overwritten.
         """
         if self._held_back is not None:
             rows = np.concatenate((self._held_back, rows))
@@ -64,20 +64,23 @@ class Segmenter:
         return rows[:at]
 
     def flush(self) -> StructArray | None:
-        """Return the rows held back, at the end of a recording: they belong to the last motion."""
+        """Return the rows that are still buffered at the end, as part of the last motion."""
         rows, self._held_back = self._held_back, None
         if rows is not None:
             rows["segment"] = self._segment
         return rows
 
     def _dwell(self, rows: StructArray, speed: FloatArray, at: int) -> int | None:
-        """Return where the dwell ends; None if all rows from `at` may be of the next motion."""
+        """Return the index at which the dwell ends.
+
+        The returned index is None if all rows from `at` possibly belong to the next motion.
+        """
         assert self._rest_pose is not None
         away = np.abs(rows["q"][at:] - self._rest_pose).max(axis=1) > self._rule.drift
         left = np.flatnonzero((speed[at:] > LEAVES_AT * self._rule.speed) | away)
         over = bool(len(left))
         end = at + int(left[0]) if over else len(rows)
-        # A motion that begins gently began before it was noticed: a dwell's last rows must rest.
+        # A slow motion is detected late, so the last rows of the dwell must be static.
         slow = np.flatnonzero(speed[at:end] < self._rule.speed)
         rest = at + int(slow[-1]) + 1 if len(slow) else at
         if over or end - rest < MOST_HELD_BACK:
@@ -89,9 +92,11 @@ class Segmenter:
         return end if end > at else None
 
     def _move(self, rows: StructArray, speed: FloatArray, at: int) -> int | None:
-        """Return where the motion from `at` ends, or the slow rows begin that are undecided.
+        """Return the index at which the motion from `at` ends.
 
-        None when those begin at `at` itself.
+        If a slow row is undecided, the index of the first undecided row is returned.
+
+        The returned index is None if the row `at` itself is undecided.
         """
         slow = speed[at:] < self._rule.speed
         begins = at + int(np.argmax(slow)) if slow.any() else len(rows)
@@ -108,22 +113,23 @@ class Segmenter:
         return end
 
     def _slow_rows(self, rows: StructArray, slow: BoolArray, begin: int) -> int:
-        """Return how many slow rows from `begin` stay within the drift, at least one."""
+        """Return the number of slow rows from `begin` within the drift limit, at least one."""
         q = rows["q"][begin : begin + len(slow)]
         ends = ~slow | (np.abs(q - q[0]).max(axis=1) > self._rule.drift)
         return int(np.argmax(ends)) if ends.any() else len(slow)
 
 
 LEAVES_AT = 2.0
-"""A dwell ends at this many times the speed at which it begins: noise must not end it."""
+"""Ratio of the speed that ends a dwell to the speed that begins a dwell; noise must not end a
+dwell."""
 
 MOST_HELD_BACK = 1000
-"""Rows; a robot whose clock has stopped must not have all of them held back."""
+"""Maximum number of buffered rows, a limit for the case that the clock of the robot has stopped."""
 
 
 @dataclass(slots=True)
 class _Segment:
-    """One segment, as far as its rows have come."""
+    """Begin, end and last position of a segment, for the rows received so far."""
 
     begin_s: float
     end_s: float
@@ -131,13 +137,13 @@ class _Segment:
 
 
 class DetectedSteps:
-    """The segments of a recording as the steps of a plan; fed with rows, read at the end."""
+    """Converter of the segments of a recording to steps of a plan; read at the end."""
 
     def __init__(self) -> None:
         self._segments: dict[int, _Segment] = {}
 
     def add(self, rows: StructArray) -> None:
-        """Add (N,) rows of `Segmenter`, in order."""
+        """Add rows (N,) that `Segmenter` has numbered, in order."""
         if not len(rows):
             return
         edges = np.flatnonzero(np.diff(rows["segment"])) + 1
@@ -150,7 +156,7 @@ class DetectedSteps:
             segment.end_s, segment.q_end = end_s, q_end
 
     def steps(self) -> list[dict[str, Any]]:
-        """Return the steps in the form of a plan document, index by index."""
+        """Return the steps in the form of a plan document, sorted by index."""
         count = max(self._segments, default=-1) + 1
         lasted = {n: one.end_s - one.begin_s for n, one in self._segments.items() if not n % 2}
         long = {n for n, seconds in lasted.items() if seconds >= TRAJECTORY_S}
@@ -171,20 +177,20 @@ class DetectedSteps:
         return out
 
     def counts(self) -> dict[str, int]:
-        """Return the number of steps of each kind.
+        """Return the number of detected steps of each kind.
 
-        A recording that begins at rest has no first motion, although its first step is one.
+        If a recording begins with a static arm, its first step has no rows and is not counted.
         """
         kinds = Counter(step["kind"] for step in self.steps() if step["index"] in self._segments)
         return dict(sorted(kinds.items()))
 
     def document(self, *, name: str, robot: Mapping[str, Any], payload: Payload) -> dict[str, Any]:
-        """Return the steps as a plan document, but without motions.
+        """Return the detected steps as a plan document without set-points.
 
         Args:
-            name: Of the recording.
-            robot: As in its start document.
-            payload: The mounted load.
+            name: Name of the recording.
+            robot: Robot description in the start document.
+            payload: Mounted payload.
         """
         rule = DwellRule(settle_rad_s=RestRule().speed)
         return {
@@ -210,7 +216,7 @@ class DetectedSteps:
         }
 
     def _approach(self, index: int) -> int:
-        """Return +1 or −1 if every joint came from below or above to a dwell, else 0."""
+        """Return +1 or −1 if all joints approached a dwell from below or from above, else 0."""
         before = self._segments.get(index - 2)
         if before is None:
             return 0
@@ -219,13 +225,16 @@ class DetectedSteps:
 
 
 TRAJECTORY_S = 10.0
-"""A motion this long is a trajectory, if most of the motion is of that kind [s]."""
+"""Minimum duration of a motion that counts as a trajectory [s].
+
+Long motions count as trajectories only if they make up most of the motion time.
+"""
 
 SAME_POSE_RAD = 0.01
 
 
 def _pose_number(q: FloatArray, poses: list[FloatArray]) -> int:
-    """Return the number of the pose: the same as before where the arm has been before."""
+    """Return the identifier of a pose; a pose that was visited before keeps its identifier."""
     for number, known in enumerate(poses):
         if np.abs(known - q).max() < SAME_POSE_RAD:
             return number

@@ -1,4 +1,4 @@
-"""ROS 2 bags (sqlite3 or mcap): JointState messages, joints matched by name, never by order."""
+"""Reading of ROS 2 bags (sqlite3 or mcap): JointState messages, with joints identified by name."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ FIELDS = {"q": "position", "qd": "velocity", "effort": "effort"}
 
 
 def read_bag(path: Path, layout: ImportMap) -> ForeignSamples:
-    """Return the samples of a bag's JointStates: a folder, a .db3 or an .mcap file.
+    """Return the samples in the JointState messages of a bag.
 
-    Drivers list the joints in orders of their own (elbow first, alphabetically, is common); the
-    map's `joint_names` say which is which.
+    The bag is a folder, a .db3 file or an .mcap file.
+
+    The order of the joints in a message depends on the driver (elbow first or alphabetical order is
+    common), so that `joint_names` of the map defines the order of the result.
 
     Raises:
-        DataError: The bag cannot be read, has no such topic, or lacks a joint.
+        DataError: The bag cannot be read, has no JointState topic of the map, or lacks a joint.
         PluginError: The package `rosbags` is not installed.
     """
     wanted = [name for name in layout.quantities() if name in FIELDS]
@@ -46,7 +48,7 @@ def read_bag(path: Path, layout: ImportMap) -> ForeignSamples:
     if not stamps:
         raise DataError(
             f"{path}: no messages under {layout.topic}",
-            hint="topic in the map says which; ros2 bag info lists those there are",
+            hint="correct topic in the map; ros2 bag info lists the topics",
         )
     _require_joints(orders, path)
     columns = {name: np.array(rows) for name, rows in samples.items()}
@@ -70,8 +72,8 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
                 raise DataError(f"{path} has no topic {topic}", hint=did_you_mean(topic, topics))
             if connections[0].msgtype != JOINT_STATE:
                 raise DataError(
-                    f"{topic} in {path} holds {connections[0].msgtype}, not {JOINT_STATE}",
-                    hint="topic in the map must name one of joint states",
+                    f"{topic} in {path} contains {connections[0].msgtype}, not {JOINT_STATE}",
+                    hint="set topic in the map to a topic with joint states",
                 )
             for connection, logged, data in reader.messages(connections):
                 yield logged, reader.deserialize(data, connection.msgtype)
@@ -83,22 +85,22 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
 
 
 def _bag_of(path: Path) -> Path:
-    """Return the folder of the bag that `path` is a file of, or `path` itself.
+    """Return the folder of the bag that contains the file `path`, or `path` itself.
 
-    A `metadata.yaml` beside a file says nothing about it unless it lists it: files of several
-    bags end up in one folder, where another bag would be read in its place.
+    A `metadata.yaml` next to a file is used only if it lists the file: one folder can contain files
+    of several bags, and a different bag would otherwise be read.
     """
     try:
         about = look_into((path.parent / METADATA).read_bytes())
         listed = about["rosbag2_bagfile_information"]["relative_file_paths"]
         whole = path.name in listed and all((path.parent / name).is_file() for name in listed)
     except (OSError, ValueError, LookupError, TypeError):
-        return path  # there is none, or it is no bag's
+        return path  # the metadata file is missing or is not from a bag
     return path.parent if whole else path
 
 
 def _order(names: tuple[str, ...], wanted: tuple[str, ...]) -> IntArray | str:
-    """Return where each wanted joint stands in a message, or which one is missing."""
+    """Return the position of each joint of the map in a message, or a text if one is missing."""
     missing = [name for name in wanted if name not in names]
     if missing:
         return f"has no joint {missing[0]!r} (it lists {', '.join(names) or 'none'})"
@@ -118,7 +120,10 @@ def _values(
 
 
 def _require_joints(orders: dict[tuple[str, ...], IntArray | str], path: Path) -> None:
-    """Raise if no message has the map's joints; those of other devices may lack them."""
+    """Raise if no message contains the joints of the map.
+
+    Messages of other devices can lack these joints.
+    """
     wrong = [why for why in orders.values() if isinstance(why, str)]
     if len(wrong) == len(orders):
         raise DataError(

@@ -1,8 +1,8 @@
-"""Export of a run's samples for other programs: Parquet, CSV and npz files.
+"""Export of the samples of a run for other programs: Parquet, CSV and npz files.
 
-Every file holds the rows that `hil.dataset` gives, one per sample, with their units, and says where
-they come from. A CSV file cannot, so a JSON file stands beside it, and an import map with which
-`hil import` reads the samples back.
+Every exported file contains the rows of `hil.dataset`, one row per sample, with their units and
+their origin. A CSV file cannot contain the origin of the samples, so that a JSON file with the
+origin and an import map for `hil import` are written next to the CSV file.
 """
 
 from __future__ import annotations
@@ -43,36 +43,36 @@ Values: TypeAlias = NDArray[Any]
 
 
 def export_data(source: AnyPath, out: AnyPath) -> dict[str, Any]:
-    """Write the samples of a run for other programs: one row each, nothing rounded.
+    """Write the samples of a run for other programs: one row per sample, without rounding.
 
-    The rows are those that `hil.dataset` gives: usable ones, each step as it was recorded last.
+    The exported rows are the usable rows of `hil.dataset`, with the last recording of each step.
 
     Args:
-        source: Run directory or MCAP file.
-        out: `….parquet`, `….csv` or `….npz`; a CSV file gets `….json`, where it comes from, and
-            `….map.yaml`, with which `hil import` reads it, beside it.
+        source: Path of a run directory or MCAP file.
+        out: Path of the output: `….parquet`, `….csv` or `….npz`. Two files are written next to a
+            CSV file: `….json` with the origin, and `….map.yaml`, an import map for `hil import`.
 
     Returns:
-        `files`, `samples`, `series`, `columns`, `notes`.
+        Report of the export with the keys `files`, `samples`, `series`, `columns` and `notes`.
 
     Raises:
-        DataError: The source cannot be read, or no format is called so.
-        PluginError: Parquet without pyarrow.
-        RecordingError: A file is there already, or cannot be written.
+        DataError: The source cannot be read, or the file name extension is unknown.
+        PluginError: The format is Parquet, and pyarrow is not installed.
+        RecordingError: An output file exists already or cannot be written.
     """
     source, out = path_of(source), path_of(out)
     write = WRITERS.get(out.suffix.lower())
     if write is None:
         raise DataError(
-            f"{out} does not say in which format: {did_you_mean(out.suffix, WRITERS)}",
-            hint=f"end its name with {', '.join(WRITERS)}",
+            f"{out} has no known file name extension: {did_you_mean(out.suffix, WRITERS)}",
+            hint=f"use one of {', '.join(WRITERS)}",
         )
     files = [out]
     if write is _write_csv:
         files += [out.with_suffix(".json"), out.with_suffix(".map.yaml")]
     for file in files:
         if file.exists():
-            raise RecordingError(f"{file} exists already", hint="choose another name")
+            raise RecordingError(f"{file} exists already", hint="choose a different name")
     dataset = load_source(source, any_arm=True)
     table = _table_of(dataset, source)
     write(out, table)
@@ -92,7 +92,7 @@ def export_data(source: AnyPath, out: AnyPath) -> dict[str, Any]:
     }
 
 
-# The table of samples
+# Table of samples
 
 
 UNITS = {
@@ -106,13 +106,13 @@ _UNITS_IN_NAMES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Table:
-    """Samples and labels.
+    """Samples with labels, units and origin.
 
     Attributes:
-        columns: Dataset column → (N,) or (N, n).
-        labels: What the robot did in each row → (N,).
-        units: Dataset column → unit.
-        about: Where all of it comes from; strict JSON.
+        columns: Arrays (N,) or (N, n) by name of the dataset column.
+        labels: Arrays (N,) by label; a label describes the step of each row.
+        units: Unit of each dataset column, by column name.
+        about: Origin of the samples as strict JSON data.
     """
 
     columns: Mapping[str, Values]
@@ -121,7 +121,10 @@ class _Table:
     about: Mapping[str, Any]
 
     def flat(self) -> list[tuple[str, str, Values]]:
-        """Name, unit and values of columns with one value a row: `t_s`, `q_1_rad`, … `kind`."""
+        """Return name, unit and values of one-dimensional columns.
+
+        The column names are `t_s`, `q_1_rad`, … `kind`.
+        """
         columns: list[tuple[str, str, Values]] = []
         for name, values in self.columns.items():
             unit = self.units[name]
@@ -136,7 +139,7 @@ class _Table:
 
 
 def _flat_name(column: str, unit: str, joint: int = 0) -> str:
-    """Return the name of one joint's values (from 1), or of a column without joints."""
+    """Return the name of the column of one joint (counted from 1), or of a single column."""
     return "_".join(filter(None, (column, str(joint or ""), _UNITS_IN_NAMES[unit])))
 
 
@@ -168,7 +171,10 @@ _KEYS_OF_START = (
 
 
 def _about(dataset: Dataset, source: Path) -> dict[str, Any]:
-    """Return where the samples come from. Raises `DataError` for documents it cannot read."""
+    """Return the origin of the samples of a run or file.
+
+    Raises `DataError` if a document of the source cannot be read.
+    """
     recordings, run = [source], None
     if source.is_dir():
         recordings = sorted(source.glob("recording/*.mcap*"))
@@ -196,22 +202,22 @@ def _about(dataset: Dataset, source: Path) -> dict[str, Any]:
 
 
 def _load_of(load: Payload) -> dict[str, Any]:
-    """Return a load in the form of documents and maps."""
+    """Return a payload in the form that documents and import maps use."""
     return {"mass_kg": load.mass, "com_m": list(load.com), "inertia_kgm2": list(load.inertia)}
 
 
-# Files; each is whole or not there
+# Files; an interrupted export leaves no incomplete file
 
 
 _METADATA = "hil"
-"""Key of where the samples come from, in Parquet and npz alike."""
+"""Key under which Parquet and npz files store the origin of the samples."""
 
 _ROWS = 20_000
-"""Rows that are text at a time."""
+"""Number of rows that are converted to text in one step."""
 
 
 def _write_csv(out: Path, table: _Table) -> None:
-    """Write numbers as short as they can be without losing a bit; unknown ones are empty."""
+    """Write the shortest text of each number that preserves all bits; NaN becomes empty text."""
     columns = table.flat()
     with _whole(out) as draft, draft.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -223,17 +229,22 @@ def _write_csv(out: Path, table: _Table) -> None:
 
 
 def _write_npz(out: Path, table: _Table) -> None:
-    """Write columns as in a dataset, (N, n), and their origin as JSON in `hil`; no pickle."""
+    """Write the columns of a dataset (N, n) to an npz file without pickle.
+
+    The array `hil` contains the origin as JSON text.
+    """
     arrays = {**table.columns, **table.labels, _METADATA: np.array(json_line(table.about))}
     with _whole(out) as draft, draft.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def _write_parquet(out: Path, table: _Table) -> None:
-    """Write flat columns with their units; the origin is JSON in the schema's metadata, `hil`.
+    """Write one-dimensional columns with their units to a Parquet file.
+
+    The key `hil` of the schema metadata contains the origin as JSON text.
 
     Raises:
-        PluginError: pyarrow is not installed.
+        PluginError: The package pyarrow is not installed.
     """
     try:
         import pyarrow as pa
@@ -249,17 +260,17 @@ def _write_parquet(out: Path, table: _Table) -> None:
     ]
     schema = pa.schema(fields, metadata={_METADATA: json_line(table.about)})
     whole = pa.table([values for _, _, values in columns], schema=schema)
-    # Opened here: pyarrow takes no path that is not UTF-8.
+    # The file is opened here, because pyarrow does not support paths that are not UTF-8.
     with _whole(out) as draft, draft.open("wb") as file:
         pq.write_table(whole, file, compression="zstd")
 
 
 @contextlib.contextmanager
 def _whole(out: Path) -> Iterator[Path]:
-    """Yield the path of a draft, which becomes the file at the end.
+    """Yield the path of a draft, which gets the final name after the block.
 
     Raises:
-        RecordingError: The file system refuses.
+        RecordingError: The draft cannot be written.
     """
     draft = out.with_name(f".{out.name}.{os.getpid()}.draft")
     try:
@@ -270,7 +281,7 @@ def _whole(out: Path) -> Iterator[Path]:
         fsync_directory(out.parent)
     except OSError as error:
         raise RecordingError(
-            f"cannot write {out}: {error.strerror or error}", hint="choose another place for it"
+            f"cannot write {out}: {error.strerror or error}", hint="choose a different folder"
         ) from error
     finally:
         draft.unlink(missing_ok=True)
@@ -283,22 +294,22 @@ WRITERS: dict[str, Callable[[Path, _Table], None]] = {
 }
 
 
-# The import map of a CSV file: trajectories as windows
+# Import map of a CSV file, with trajectories as windows
 
 
 def _why_no_map(dataset: Dataset) -> str:
-    """Return what a map cannot say of a dataset; empty where it says all."""
+    """Return why an import map cannot describe a dataset; empty if the map can describe it."""
     if not any(one.kind == "trajectory" for one in dataset.conditions):
-        return "imported rows are trajectories, and there are none"
+        return "imported rows must be trajectories, and the samples contain none"
     if tuple(dataset.gravity) != UPRIGHT:
-        return "imported recordings count as made on an upright arm"
+        return "an import map describes upright arms only"
     if np.any(np.diff(dataset["t"]) <= 0):
-        return "the clock began anew when the run was gone on with"
+        return "the device clock restarted when the run was resumed"
     return ""
 
 
 def _import_map(dataset: Dataset, table: _Table) -> str:
-    """Return YAML for `hil import FILE.csv --map FILE.map.yaml`."""
+    """Return the import map as YAML text, for `hil import FILE.csv --map FILE.map.yaml`."""
     windows = [
         {"rows": f"{rows.start + 1}:{rows.stop}", "payload": _load_of(one.payload)}
         for one, rows in dataset.slices()
@@ -323,7 +334,7 @@ def _import_map(dataset: Dataset, table: _Table) -> str:
 
 
 def _quantities(dataset: Dataset, table: _Table) -> dict[str, Any]:
-    """Return the quantities of which every value is known."""
+    """Return the quantities that have no unknown values."""
     known = {}
     for name in QUANTITIES:
         if name in table.columns and np.all(np.isfinite(table.columns[name])):

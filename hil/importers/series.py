@@ -1,7 +1,7 @@
-"""Series of a recording: its rows cut by plan step, at pauses and around unusable rows.
+"""Series of a recording: rows grouped by plan step and divided at pauses and unusable rows.
 
-`recorded_rows` reads the rows of one file of a run, `cut` cuts those of an attempt into series, and
-`assemble` makes a dataset of the series of all attempts.
+The function `recorded_rows` reads the rows of one file of a run, `cut` divides the rows of an
+attempt into series, and `assemble` combines the series of all attempts into a dataset.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from hil.recording import PARTIAL_SUFFIX, read_topic
 from hil.robot import STATE_TOPIC, Status, state_dtype
 
 SHORTEST_PIECE = 20
-"""Rows; shorter pieces of a cut trajectory are not worth keeping (and too short to filter)."""
+"""Minimum number of rows of a piece of a divided trajectory; shorter pieces cannot be filtered."""
 
 
 @dataclass(frozen=True, slots=True)
 class StepNote:
-    """What one step of a plan (or one window of an import) measured; see `Conditions`."""
+    """Description of one step of a plan, or of one window of an imported file; see `Conditions`."""
 
     kind: SeriesKind
     trajectory: int = -1
@@ -48,14 +48,14 @@ class StepNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """Rows of one step without a pause in them.
+    """Rows of one step that are not interrupted by a pause.
 
     Attributes:
-        step: Index of the step.
-        piece: 0 unless a pause cut the step in several.
+        step: Index of the step in the plan.
+        piece: Number of the piece of a step that pauses divide; 0 for an undivided step.
         attempt: Number of the attempt.
-        note: What the step measured.
-        rows: The recorded rows.
+        note: Description of the step as text.
+        rows: Recorded rows.
         track: Motion of the arm during the whole attempt.
     """
 
@@ -69,7 +69,7 @@ class Series:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Origin:
-    """The robot whose samples they are, and the source; see `Dataset`."""
+    """Robot that was measured and source of the samples; see `Dataset`."""
 
     source: str
     robot: str
@@ -83,16 +83,18 @@ class Origin:
 
 
 def recorded_rows(file: Path) -> StructArray | None:
-    """Return the base robot record of a run's recording; None if it was torn before any row.
+    """Return the base robot record in a recording of a run.
+
+    The function returns None if the recording was torn before its first row.
 
     Raises:
-        DataError: A finished recording cannot be read, or is of a newer hil; it holds another
-            record.
+        DataError: A finished recording cannot be read, is from a newer version of hil, or contains
+            a different record.
     """
     try:
         rows = read_topic(file, salvage=True)
     except DataError:
-        # A part that was torn before its first whole chunk has no rows and is no reason to stop.
+        # A part that was torn before its first complete chunk has no rows, which is not an error.
         if file.name.endswith(PARTIAL_SUFFIX):
             return None
         raise
@@ -100,12 +102,12 @@ def recorded_rows(file: Path) -> StructArray | None:
 
 
 def base_record(file: Path, rows: StructArray) -> StructArray:
-    """Return the rows if they are the base robot record.
+    """Return the rows after checking that they are the base robot record.
 
-    A topic of another tool may have the same name.
+    A topic of a different tool can have the name of the base robot record.
 
     Raises:
-        DataError: They are another record.
+        DataError: The rows belong to a different record.
     """
     names = rows.dtype.names or ()
     n = rows.dtype["q"].shape[0] if "q" in names and rows.dtype["q"].shape else 0
@@ -113,7 +115,7 @@ def base_record(file: Path, rows: StructArray) -> StructArray:
         return rows
     raise DataError(
         f"{file}: its {STATE_TOPIC} is not the base robot record",
-        hint="turn recordings of other tools into ours: hil import FILE --map MAP.yaml -o OUT",
+        hint="convert recordings of other tools with: hil import FILE --map MAP.yaml -o OUT",
     )
 
 
@@ -121,12 +123,13 @@ def base_record(file: Path, rows: StructArray) -> StructArray:
 
 
 def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[Series]:
-    """Return the series in a recording, in order; a repeated step counts as recorded last.
+    """Return the series in a recording, in order; a repeated step has only its last visit.
 
     Args:
-        rows: All rows of the recording: those between two visits of a step tell the visits apart.
-        steps: The steps that are wanted.
-        attempt: Number of the recording.
+        rows: All rows of the recording; two visits of a step are separated by the rows between
+            them.
+        steps: Descriptions of the steps whose series are returned, by step index.
+        attempt: Number of the attempt that was recorded.
     """
     unusable = int(Status.MASKED | Status.SLOWED)
     usable = np.flatnonzero((rows["status"] & unusable) == 0)
@@ -141,7 +144,7 @@ def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[
     last: dict[int, list[IntArray]] = {}
     previous = None
     for (start, stop), step in zip(pairwise(edges), segment[edges[:-1]].tolist(), strict=True):
-        # After a pause within a step its rows go on; coming back to it later starts it afresh.
+        # After a pause within a step its rows continue; a later visit of the step replaces them.
         if step != previous:
             last[step] = []
         last[step].append(usable[start:stop])
@@ -155,7 +158,7 @@ def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[
 
 
 def _advancing(t: FloatArray) -> BoolArray:
-    """Return which rows have a time that is known and later than every time before."""
+    """Return a mask of rows whose time is known and later than the time of all previous rows."""
     before = np.concatenate(([-np.inf], np.fmax.accumulate(t)[:-1])) if len(t) else t
     later: BoolArray = t > before
     return later
@@ -175,31 +178,32 @@ COLUMNS = (
 )  # fmt: skip
 
 TORQUE_TARGET = "torque_target"
-"""The controller's own torques [N·m], in imports of controllers that log them beside currents."""
+"""Name of the column with the torque set-points of the controller [N·m], in imports with current
+set-points."""
 
 
 def assemble(series: Sequence[Series], origin: Origin, dwell_samples: int) -> Dataset:
-    """Return the dataset of some series.
+    """Return the dataset that contains all series of a list.
 
     Args:
-        series: In the order they shall have.
-        origin: Robot and source of the samples.
-        dwell_samples: Rows kept of each dwell or reference, its last ones.
+        series: Series in the order in which the dataset contains them.
+        origin: Robot that was measured and source of the samples.
+        dwell_samples: Number of rows at the end of each dwell or reference that are used.
 
     Raises:
-        DataError: There is not one usable sample, or the joints differ from the description.
+        DataError: No sample is usable, or the number of joints differs from the description.
     """
     kept = [one.rows[-dwell_samples:] if one.note.kind in AT_REST else one.rows for one in series]
     if not sum(len(rows) for rows in kept):
         raise DataError(
-            f"{origin.source} holds no usable samples",
-            hint="was the run stopped before it measured anything?",
+            f"{origin.source} contains no usable samples",
+            hint="check whether the run was stopped before its first measurement",
         )
     rows = np.concatenate(kept)
     recorded = rows.dtype["q"].shape[0]
     if recorded != len(origin.joint_names):
         raise DataError(
-            f"{origin.source} holds {recorded} joints, but describes {len(origin.joint_names)}"
+            f"{origin.source} has {recorded} joints, but describes {len(origin.joint_names)}"
         )
     known = COLUMNS + ((TORQUE_TARGET,) if TORQUE_TARGET in (rows.dtype.names or ()) else ())
     columns = {name: np.ascontiguousarray(rows[name]) for name in known}
@@ -237,7 +241,7 @@ def _conditions(series: Series, source: str) -> Conditions:
 
 
 def _arrivals(series: Sequence[Series], kept: Sequence[StructArray]) -> FloatArray | None:
-    """Return (S, K, 2, n) how the arm came to rest before each dwell; None without any dwell."""
+    """Return the motion of the arm before each dwell (S, K, 2, n); None without dwells."""
     if not any(one.note.kind in AT_REST for one in series):
         return None
     n = kept[0].dtype["q"].shape[0]

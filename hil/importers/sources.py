@@ -1,10 +1,11 @@
-"""Datasets of run directories and MCAP files, the two kinds of *source*.
+"""Datasets from run directories and MCAP files, the two kinds of *source*.
 
-`load_source` reads the documents of a source (start.json and plan.json of a run, the metadata of an
-imported file), cuts its rows into the series that they describe, and assembles a dataset.
+The function `load_source` reads the documents of a source (start.json and plan.json of a run, the
+metadata of an imported file), cuts the rows into the series described there, and assembles a
+dataset.
 
-People may have edited these documents. Each value is checked before it is used, so that a damaged
-document is one clear error, and never a meaningless number deep inside a fit.
+Operators possibly edit the documents of a source. Each value of a document is checked before use,
+so that a damaged document causes one clear error instead of a wrong number inside a fit.
 """
 
 from __future__ import annotations
@@ -51,22 +52,24 @@ MEASURED_KINDS: tuple[SeriesKind, ...] = ("move", "dwell", "trajectory", "refere
 ROBOT_METADATA = "robot"
 PAYLOAD_METADATA = "payload"
 WINDOW_PAYLOAD = "payload of window {}"
-"""Metadata records of an imported file: robot, load, and the load of a window that has its own."""
+"""Name of the metadata record with the payload of a window that has a separate payload."""
 
 
 def dataset(*sources: AnyPath | Iterable[AnyPath]) -> Dataset:
-    """Return the samples of run directories or MCAP files, with their conditions.
+    """Return the samples of run directories or MCAP files, with their measuring conditions.
 
     Args:
-        sources: One or more, or lists of them, of one robot and one kind of effort.
+        sources: One or more paths of sources, or lists of paths, all of one robot and one kind of
+            effort.
 
     Returns:
-        Columns of N rows by name: `t` (N,) [s]; `q` (N, n) [rad], `qd` (N, n) [rad/s], `effort`
-        (N, n) [A or N·m] and what else was recorded.
+        Columns of N rows by column name: `t` (N,) [s]; `q` (N, n) [rad], `qd` (N, n) [rad/s],
+        `effort` (N, n) [A or N·m] and all other recorded quantities.
 
     Raises:
-        DataError: There is no source, one cannot be read, or they are of different robots.
-        SpecError: One is no path.
+        DataError: No source was passed, a source cannot be read, or the sources belong to different
+            robots.
+        SpecError: An element of `sources` is not a path.
     """
     return Dataset.concatenate([load_source(source) for source in sources_of(*sources)])
 
@@ -74,29 +77,29 @@ def dataset(*sources: AnyPath | Iterable[AnyPath]) -> Dataset:
 def load_source(
     path: str | Path, kinds: Collection[SeriesKind] | None = None, *, any_arm: bool = False
 ) -> Dataset:
-    """Return the samples of a run directory or of one MCAP file, in series with their conditions.
+    """Return the samples of a run directory or MCAP file as series with their conditions.
 
-    A run's plan says which step every sample belongs to. If a step was recorded more than once
-    (stop and resume), its last recording is used. An imported file is one trajectory,
-    or one per window of its map. Rows that the robot marked as unusable and those at another speed
-    than planned are left out, repeated time stamps too, and a pause in the time stamps cuts a
+    The plan of a run assigns every sample to a step. If a step was recorded several times (stop and
+    resume), its last recording is used. An imported file contains one trajectory, or one trajectory
+    per window of its import map. Rows that the robot marked as unusable, rows at a different speed
+    than planned and rows with repeated time stamps are omitted. A pause in the time stamps cuts a
     series in two.
 
     Args:
-        path: Run directory or MCAP file.
-        kinds: Only series of these kinds; all that measured something by default. Leaving out the
-            moves of a long dwell program saves most of the time.
-        any_arm: Accept a source whose arm has another description by now: for callers that name an
-            arm themselves, or need none.
+        path: Path of a run directory or MCAP file.
+        kinds: Kinds of series to return; by default all kinds that contain measurements. Omitting
+            the moves of a long program of dwells saves most of the reading time.
+        any_arm: Whether to accept a source whose arm description has changed since the recording;
+            for callers that specify an arm themselves or need no arm.
 
     Raises:
-        DataError: The source is missing, damaged, from a newer hil, or does not say whose samples
-            it holds; or it holds none; or its arm's description was changed.
+        DataError: The source is missing, damaged or from a newer version of hil, does not identify
+            its robot, or contains no samples; or the description of its arm has changed.
     """
     source, wanted = Path(path), MEASURED_KINDS if kinds is None else tuple(kinds)
     if not source.exists():
         raise DataError(
-            f"{source} does not exist", hint="give a run directory or an MCAP file (hil runs)"
+            f"{source} does not exist", hint="pass a run directory (see hil runs) or an MCAP file"
         )
     if not any_arm:
         require_arm_as_recorded(source, gone=True)
@@ -105,31 +108,32 @@ def load_source(
 
 
 def with_payload(dataset: Dataset, payload: Payload) -> Dataset:
-    """Return the same samples, declared to be recorded with another load."""
+    """Return the same samples with a different payload declared for them."""
     conditions = tuple(replace(c, payload=payload) for c in dataset.conditions)
     return replace(dataset, conditions=conditions)
 
 
-# The robot of a source
+# Robot of a source
 
 
 def gravity_of(source: Path) -> tuple[float, float, float]:
-    """Return gravity in the base frame of a source [m/s²].
+    """Return gravity in the base frame of the robot of a source [m/s²].
 
-    It is that of an upright base if the source does not state it.
+    For a source without this value, the gravity of an upright base is returned.
 
     Raises:
-        DataError: The source is missing, damaged or from a newer hil, or has another value there.
+        DataError: The source is missing, damaged or from a newer version of hil, or its gravity
+            value is invalid.
     """
     with reading(f"{source}: its robot description"):
         return _vector(_robot_of(source).get("gravity_m_s2", UPRIGHT), "gravity_m_s2")
 
 
 def serial_of(path: str | Path) -> str:
-    """Return the serial number of the robot of a source; empty if unknown.
+    """Return the serial number of the robot of a source; empty text if unknown.
 
     Raises:
-        DataError: The source is missing, damaged or from a newer hil.
+        DataError: The source is missing, damaged or from a newer version of hil.
     """
     robot = _robot_of(Path(path))
     identity = robot.get("identity")
@@ -138,22 +142,23 @@ def serial_of(path: str | Path) -> str:
 
 
 def require_arm_as_recorded(path: str | Path, *, gone: bool = False) -> None:
-    """Raise if a source's custom arm has another description than when it was recorded.
+    """Raise if the description of a custom arm has changed since the recording of a source.
 
     Args:
-        path: Run directory or MCAP file.
-        gone: Accept a description that cannot be read here.
+        path: Path of a run directory or MCAP file.
+        gone: Whether to accept a description file that cannot be read on this computer.
 
     Raises:
-        DataError: It has, or the source is missing, damaged or from a newer hil.
+        DataError: The arm description has changed, or the source is missing, damaged or from a
+            newer version of hil.
     """
     source = Path(path)
-    otherwise = "name the arm to fit: --robot FILE (hil fit, hil gains)"
+    otherwise = "pass the description of the arm: --robot FILE (hil fit, hil drive-gains)"
     require_same_arm(_robot_of(source), source, otherwise, gone=gone)
 
 
 def _robot_of(source: Path) -> Mapping[str, Any]:
-    """Return what a run, its recording or an imported file says about the robot."""
+    """Return the robot description of a run, a recording of a run or an imported file."""
     if source.is_dir():
         return robot_of_run(RunDirectory.open(source).start)
     info = read_info(source)
@@ -167,7 +172,7 @@ def _robot_of(source: Path) -> Mapping[str, Any]:
 
 
 def robot_of_run(start: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what a start document says about the robot; empty if nothing."""
+    """Return the robot description in a start document; empty if the document has none."""
     robot = start.get("robot")
     return robot if isinstance(robot, Mapping) else {}
 
@@ -180,21 +185,21 @@ def _from_run(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
     plan, plan_file = _plan_of(run)
     if not run.recordings:
         hint = "it was deleted on purpose: see pruned.json" if run.pruned else ""
-        raise DataError(f"{path} holds no recording", hint=hint)
+        raise DataError(f"{path} contains no recording", hint=hint)
     described = DescribedRun(path, run.start, plan, plan_file, _unsettled(run))
     return dataset_of_attempts(described, _attempts_of(run), kinds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedRun:
-    """The documents of a run that say what its rows are.
+    """Documents of a run that describe its recorded rows.
 
     Attributes:
-        source: The run directory.
-        start: Its start document.
-        plan: Its plan document.
-        plan_file: File of the plan, for messages.
-        unsettled: Steps whose dwell ran into its time-out.
+        source: Path of the run directory.
+        start: Start document.
+        plan: Plan document.
+        plan_file: Path of the plan, used in error messages.
+        unsettled: Indices of the steps whose dwell ended by its time-out.
     """
 
     source: Path
@@ -206,12 +211,12 @@ class DescribedRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attempt:
-    """The rows of one attempt at a run.
+    """Recorded rows of one attempt of a run.
 
     Attributes:
-        number: From 0.
-        rows: All of them, in order.
-        completed: The attempt was not stopped or killed, which cuts its last dwell short.
+        number: Number of the attempt, starting at 0.
+        rows: All rows of the attempt, in order of time.
+        completed: Whether the attempt ran to its end; a stop or kill cuts the last dwell short.
     """
 
     number: int
@@ -225,12 +230,13 @@ def dataset_of_attempts(
     """Return the samples of a run whose rows have been read.
 
     Args:
-        run: The documents of the run.
-        attempts: Its attempts in order. A step counts as the last of them recorded it.
-        kinds: Only series of these kinds.
+        run: Documents of the run.
+        attempts: Attempts of the run, in order of their numbers. For each step, the last attempt
+            that recorded the step is used.
+        kinds: Kinds of series that are returned.
 
     Raises:
-        DataError: A document cannot be used, or there is not one usable sample.
+        DataError: A document is invalid, or no sample is usable.
     """
     steps = steps_of_plan(run.plan, run.plan_file, run.unsettled, kinds)
     origin = _origin_of_run(run.start, str(run.source))
@@ -248,7 +254,7 @@ def dataset_of_attempts(
 
 
 def _without_torn_dwell(pieces: list[Series], rows: StructArray, rule: DwellRule) -> list[Series]:
-    """Return the series without a last dwell that was cut short: it may not have come to rest."""
+    """Return the series without an interrupted last dwell, which has possibly not settled."""
     last = int(rows["segment"][-1]) if len(rows) else -1
     return [
         piece
@@ -271,16 +277,22 @@ def _attempts_of(run: RunDirectory) -> Iterator[Attempt]:
 
 
 def _part(file: Path) -> StructArray | None:
-    """Return the rows of one recording of a run; None for one that was torn before it had any."""
+    """Return the rows of one recording of a run.
+
+    The function returns None if the recording was torn before its first row.
+    """
     if file.name.endswith(PARTIAL_SUFFIX):
         return recorded_rows(file)
     return base_record(file, read_topic(file, salvage=False))
 
 
 def _plan_of(run: RunDirectory) -> tuple[dict[str, Any], Path]:
-    """Return the plan of a run, or the one detected in a passive recording; and its file.
+    """Return the plan of a run and the path of its file.
 
-    The plan of a passive recording that was killed is detected from its rows.
+    For a passive recording, the plan that was detected is returned.
+
+    If a passive recording was killed before its plan was stored, the plan is detected from the
+    rows.
     """
     start, file = run.start, run.path / "plan.json"
     if start.get("passive"):
@@ -298,9 +310,10 @@ def _plan_of(run: RunDirectory) -> tuple[dict[str, Any], Path]:
 
 
 def _unsettled(run: RunDirectory) -> set[int]:
-    """Return dwells of every attempt that ran into their time-out.
+    """Return the indices of all dwells that reached their time-out, over all attempts.
 
-    The log counts as well as the stop document: it outlives a kill.
+    The event log is read in addition to the stop document, because the event log survives a kill of
+    the process.
     """
     events = (event for event in run.events() if event.get("kind") == "dwell")
     logged = {
@@ -319,14 +332,14 @@ def _from_file(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
     rows = base_record(path, read_topic(path, salvage=not info.complete))
     if "plan.json" in info.attachments and "start.json" in info.attachments:
         start, plan = (_attached(info, name) for name in ("start.json", "plan.json"))
-        # Alone, a recording does not say whether its attempt was completed.
+        # A single recording contains no information about the completion of its attempt.
         return dataset_of_attempts(
             DescribedRun(path, start, plan, path, ()), [Attempt(0, rows, completed=True)], kinds
         )
     if ROBOT_METADATA not in info.metadata:
         raise DataError(
-            f"{path} does not say which robot its samples are of",
-            hint="turn foreign files into recordings with: hil import FILE --map MAP.yaml -o OUT",
+            f"{path} does not describe the robot of its samples",
+            hint="convert files of other tools with: hil import FILE --map MAP.yaml -o OUT",
         )
     origin = _origin_of_import(info.metadata[ROBOT_METADATA], str(path))
     rows = _with_torque_target(info, rows)
@@ -345,7 +358,7 @@ def _attached(info: RecordingInfo, name: str) -> dict[str, Any]:
 
 
 def _with_torque_target(info: RecordingInfo, rows: StructArray) -> StructArray:
-    """Return the rows with `torque_target`, where an import has it and all of it is there."""
+    """Return the rows with the field `torque_target` if an import has it for all rows."""
     if TARGET_TOPIC not in info.topics:
         return rows
     target = read_topic(info.path, TARGET_TOPIC, salvage=not info.complete)
@@ -360,7 +373,10 @@ def _with_torque_target(info: RecordingInfo, rows: StructArray) -> StructArray:
 
 
 def _windows(info: RecordingInfo, numbers: Sequence[int]) -> dict[int, StepNote]:
-    """Return the trajectories of an import; each load of its windows gets a number."""
+    """Return the trajectories of an imported file.
+
+    Each distinct payload of the windows of an imported file gets a number.
+    """
     declared = _imported_payload(info, PAYLOAD_METADATA)
     windows = {n: WINDOW_PAYLOAD.format(n) for n in numbers}
     own = {
@@ -375,7 +391,7 @@ def _windows(info: RecordingInfo, numbers: Sequence[int]) -> dict[int, StepNote]
 
 
 def _imported_payload(info: RecordingInfo, name: str) -> Payload:
-    """Return a load from a metadata record, which holds every value as JSON text."""
+    """Return a payload from a metadata record, whose values are JSON texts."""
     record = info.metadata.get(name)
     if not record:
         return Payload()
@@ -387,13 +403,16 @@ def _imported_payload(info: RecordingInfo, name: str) -> Payload:
 
 
 def _origin_of_run(start: Mapping[str, Any], source: str) -> Origin:
-    """Return the origin of a run's samples. Raises `DataError`."""
-    with reading(f"{source}: what start.json says about the robot"):
+    """Return the origin of the samples of a run: robot and source.
+
+    Raises `DataError`.
+    """
+    with reading(f"{source}: the robot in start.json"):
         return _origin(_mapping(start["robot"], "robot"), source)
 
 
 def _origin_of_import(robot: Mapping[str, str], source: str) -> Origin:
-    """Return the origin of an imported file's samples; its lists are JSON text."""
+    """Return the origin of the samples of an imported file, whose lists are JSON texts."""
     with reading(f"{source}: its robot description"):
         as_json = ("joint_names", "drive_gains")
         lists = {key: json.loads(robot[key]) for key in as_json if robot.get(key)}
@@ -434,12 +453,12 @@ def steps_of_plan(
     unsettled: Collection[int],
     kinds: Collection[SeriesKind],
 ) -> dict[int, StepNote]:
-    """Return what each step of a plan document measured, by its index.
+    """Return the descriptions of the steps of a plan document, by step index.
 
     Raises:
-        DataError: It is no plan.
+        DataError: The document is not a plan.
     """
-    with reading(f"{where} is no plan: it"):
+    with reading(f"{where} is not a plan: it"):
         loads = [payload_of(load) for load in plan["loads"]]
         return {
             _index(step, "index"): _note(step, loads, unsettled)
@@ -451,7 +470,7 @@ def steps_of_plan(
 def _note(step: Mapping[str, Any], loads: list[Payload], unsettled: Collection[int]) -> StepNote:
     load = _index(step, "load", 0)
     if not 0 <= load < len(loads):
-        raise ValueError(f"there is no load {load}")
+        raise ValueError(f"load {load} does not exist")
     return StepNote(
         kind=step["kind"],
         trajectory=_index(step, "trajectory", -1),
@@ -464,12 +483,12 @@ def _note(step: Mapping[str, Any], loads: list[Payload], unsettled: Collection[i
 
 
 def dwell_rule_of(plan: Mapping[str, Any], where: object) -> DwellRule:
-    """Return when a dwell of a plan document is over.
+    """Return the dwell rule of a plan document.
 
     Raises:
-        DataError: It is no plan.
+        DataError: The document is not a plan.
     """
-    with reading(f"{where} is no plan: dwell"):
+    with reading(f"{where} is not a plan: dwell"):
         raw = dict(_mapping(plan.get("dwell", {}), "it"))
         samples = _index(raw, "samples", DwellRule().samples)
         if samples < 1:
@@ -479,11 +498,14 @@ def dwell_rule_of(plan: Mapping[str, Any], where: object) -> DwellRule:
 
 
 def payload_of(raw: Mapping[str, Any]) -> Payload:
-    """Return a load of a document. Raises `KeyError`, `ValueError` or `TypeError`."""
+    """Return the payload that a document describes.
+
+    Raises `KeyError`, `ValueError` or `TypeError` if the document does not describe a payload.
+    """
     raw = _mapping(raw, "the load")
     mass = _number(raw["mass_kg"], "mass_kg")
     if mass < 0:
-        raise ValueError(f"mass_kg is {mass:g}, less than nothing")
+        raise ValueError(f"mass_kg is {mass:g}, less than 0")
     ixx, iyy, izz, ixy, ixz, iyz = _numbers(raw.get("inertia_kgm2", [0.0] * 6), "inertia_kgm2", 6)
     com = _vector(raw.get("com_m", [0.0] * 3), "com_m")
     return Payload(mass, com, (ixx, iyy, izz, ixy, ixz, iyz))
@@ -491,7 +513,7 @@ def payload_of(raw: Mapping[str, Any]) -> Payload:
 
 @contextlib.contextmanager
 def reading(where: object) -> Iterator[None]:
-    """Turn errors about values of a document into a `DataError` that begins with `where`."""
+    """Convert errors about values of a document into a `DataError` starting with `where`."""
     try:
         yield
     except KeyError as error:
@@ -501,14 +523,20 @@ def reading(where: object) -> Iterator[None]:
 
 
 def _mapping(value: Any, what: str) -> Mapping[str, Any]:
-    """Return a JSON object. Raises `TypeError` for anything else."""
+    """Return a JSON object.
+
+    Raises `TypeError` for a value of any other type.
+    """
     if not isinstance(value, Mapping):
         raise TypeError(f"{what} is {shown(repr(type(value).__name__))}, not a mapping")
     return value
 
 
 def _index(values: Mapping[str, Any], key: str, default: int | None = None) -> int:
-    """Return a whole number at a key. Raises `KeyError` or `ValueError`."""
+    """Return an integer that is stored under a key of a document.
+
+    Raises `KeyError` if the key is missing, and `ValueError` if the value is not an integer.
+    """
     value = values[key] if default is None else values.get(key, default)
     if not isinstance(value, int) or isinstance(value, bool) or abs(value) >= 2**31:
         raise ValueError(f"{key} is {shown(repr(value))}, not an index")
@@ -516,14 +544,20 @@ def _index(values: Mapping[str, Any], key: str, default: int | None = None) -> i
 
 
 def _number(value: Any, what: str) -> float:
-    """Return a finite number. Raises `ValueError` for anything else."""
+    """Return a finite number.
+
+    Raises `ValueError` for any other value of the document.
+    """
     if isinstance(value, bool | str) or not math.isfinite(number := float(value)):
         raise ValueError(f"{what} is {shown(repr(value))}, not a finite number")
     return number
 
 
 def _numbers(value: Any, what: str, length: int) -> tuple[float, ...]:
-    """Return a list of finite numbers. Raises `ValueError` for others, or another length."""
+    """Return a list of finite numbers of the expected length.
+
+    Raises `ValueError` for other values or for a list of a different length.
+    """
     if not isinstance(value, list | tuple):
         raise ValueError(f"{what} is {shown(repr(value))}, not a list of numbers")
     numbers = tuple(_number(item, what) for item in value)
@@ -533,6 +567,9 @@ def _numbers(value: Any, what: str, length: int) -> tuple[float, ...]:
 
 
 def _vector(value: Any, what: str) -> tuple[float, float, float]:
-    """Return three finite numbers. Raises `ValueError` for anything else."""
+    """Return a vector of three finite numbers.
+
+    Raises `ValueError` for any other value of the document.
+    """
     x, y, z = _numbers(value, what, 3)
     return x, y, z

@@ -1,9 +1,9 @@
-"""Text files: tables (CSV, ur_rtde's recordings) and files with one value per line.
+"""Reading of text files: tables (CSV, ur_rtde recordings) and files with one value per line.
 
-A table has any delimiter and may have a header; its columns are addressed by name or number, and
-quantities may be spread over several files side by side (`read_table`). Some loggers write one file
-per quantity instead, with one value per line and the joints of a sample behind each other
-(`read_interleaved`).
+A table can have any delimiter, and it can have a header. The columns of a table are addressed by
+name or number, and the quantities can be distributed over several parallel files (`read_table`).
+Some loggers do not write tables: they write one file per quantity, with one value per line and the
+joints of a sample on consecutive lines (`read_interleaved`).
 """
 
 from __future__ import annotations
@@ -35,16 +35,17 @@ RTDE_NAMES = {
     "effort_target": "target_current_{}",
     "torque_target": "target_moment_{}",
 }
-"""Column names of ur_rtde's `startFileRecording` and of UR's own record.py, joints from 0."""
+"""Column names that `startFileRecording` of ur_rtde and record.py of UR write, with joints
+counted from 0."""
 
 RTDE_TIME = "timestamp"
 
 
 def read_table(path: Path, layout: ImportMap) -> ForeignSamples:
-    """Return the columns that a map names, from one file or from several side by side.
+    """Return the columns that are named in a map, from one or several parallel files.
 
     Raises:
-        DataError: A file cannot be read, or a column is missing from all of it.
+        DataError: A file cannot be read, or a column is missing.
     """
     wanted = _wanted_columns(layout)
     by_file: dict[str | None, list[str]] = {}
@@ -61,7 +62,7 @@ def read_table(path: Path, layout: ImportMap) -> ForeignSamples:
 
 
 def _wanted_columns(layout: ImportMap) -> dict[str, tuple[str | None, tuple[Address, ...]]]:
-    """Return the file and the columns that each quantity is read from."""
+    """Return the file that contains each quantity, and its columns."""
     out: dict[str, tuple[str | None, tuple[Address, ...]]] = {}
     rtde = layout.format == "ur_rtde"
     time = layout.columns.t
@@ -79,14 +80,14 @@ def _required(name: str, columns: tuple[Address, ...], count: int) -> tuple[Addr
     if len(columns) != count:
         raise DataError(
             f"the map gives {len(columns)} columns for {name}, but {count} are needed",
-            hint="name one column per joint (or t.rate_hz when the file has no time)",
+            hint="set one column per joint (or t.rate_hz if the file has no time stamps)",
         )
     return columns
 
 
 @dataclass(frozen=True)
 class _Lines:
-    """A file's data lines without the blank ones, and its header."""
+    """Data lines of a text file without blank lines, and the header of the file."""
 
     path: Path
     text: list[str]
@@ -96,14 +97,14 @@ class _Lines:
 
     @cached_property
     def counts(self) -> list[int]:
-        """Number of fields of each line."""
+        """Numbers of fields of the data lines."""
         if self.delimiter is None:
             return [len(line.split()) for line in self.text]
         return [line.count(self.delimiter) + 1 for line in self.text]
 
     @cached_property
     def width(self) -> int:
-        """Number of columns: of the header, or of most lines."""
+        """Number of columns of the header; without a header, the most frequent number of fields."""
         return len(self.names) if self.names else Counter(self.counts).most_common(1)[0][0]
 
 
@@ -119,12 +120,12 @@ def _open(path: Path, layout: ImportMap) -> _Lines:
     except OSError as error:
         raise DataError(
             f"cannot read {path}: {error.strerror or error}",
-            hint="see whether it exists and may be read",
+            hint="check that the file exists and is readable",
         ) from error
     except UnicodeDecodeError as error:
         raise DataError(
             f"{path} is not a text file: byte {error.start} is not UTF-8",
-            hint="is the map's format right for this file?",
+            hint="check `format` in the map",
         ) from error
     lines = text.splitlines()
     delimiter = None if layout.delimiter == "whitespace" else layout.delimiter
@@ -132,10 +133,10 @@ def _open(path: Path, layout: ImportMap) -> _Lines:
     names = None
     if layout.header or layout.format == "ur_rtde":
         if not filled:
-            raise DataError(f"{path} is empty", hint="is it the whole file?")
+            raise DataError(f"{path} is empty", hint="check that the file is complete")
         names = _fields(lines[filled.pop(0)], delimiter)
     if not filled:
-        raise DataError(f"{path} holds no rows", hint="is it the whole file?")
+        raise DataError(f"{path} contains no rows", hint="check that the file is complete")
     data = [lines[i] for i in filled]
     if layout.decimal == ",":
         data = [line.replace(",", ".") for line in data]
@@ -149,7 +150,10 @@ def _fields(line: str, delimiter: str | None) -> list[str]:
 
 
 def _optional(layout: ImportMap) -> set[str]:
-    """Return quantities that a file may lack; ur_rtde records only what its user asked for."""
+    """Return the quantities that can be missing.
+
+    A recording of ur_rtde contains only the selected quantities.
+    """
     if layout.format == "ur_rtde":
         return set(layout.quantities()) - {"q", "effort"}
     return {name for name, quantity in layout.quantities().items() if quantity.optional}
@@ -164,12 +168,12 @@ def _is_there(addresses: tuple[Address, ...], lines: _Lines) -> bool:
 
 
 def _index(address: Address, lines: _Lines) -> int:
-    """Return the number of a column, from 0."""
+    """Return the index of a column, counted from 0."""
     if isinstance(address, int):
         return address - 1
     if lines.names is None:
         raise DataError(
-            f"the map names the column {address!r}, but says that {lines.path.name} has no header",
+            f"the map uses the column {address!r}, but states that {lines.path.name} has no header",
             hint="set header: true, or give column numbers",
         )
     if address not in lines.names:
@@ -181,12 +185,12 @@ def _index(address: Address, lines: _Lines) -> int:
 
 @dataclass(eq=False)
 class _Table:
-    """The wanted columns of one text file.
+    """Columns of one text file that were requested.
 
     Attributes:
-        values: (N, C) in the order of the request, NaN where unreadable.
-        lines: (N,) line of each row in the file, from 1.
-        problems: Row (from 0) → what is wrong with it.
+        values: (N, C) numbers in the order of the requested columns, NaN if unreadable.
+        lines: (N,) line number of each row in the file, starting at 1.
+        problems: Map from row (starting at 0) to the description of its problem.
     """
 
     values: FloatArray
@@ -200,7 +204,7 @@ def _parse(lines: _Lines, columns: Sequence[int]) -> _Table:
         raise DataError(
             f"the map reads column {max(columns) + 1}, but the rows of {lines.path} have "
             f"{expected} columns",
-            hint="is this the right map for the file?",
+            hint="check that the map describes this file",
         )
     if all(count == expected for count in lines.counts):
         try:
@@ -220,10 +224,10 @@ def _parse(lines: _Lines, columns: Sequence[int]) -> _Table:
 
 
 def _parse_row_by_row(lines: _Lines, columns: Sequence[int]) -> _Table:
-    """Return the columns with the bad rows and what is wrong with them; slow."""
+    """Return the columns of a file and the problems of its invalid rows; slow."""
     table = _Table(np.full((len(lines.text), len(columns)), np.nan), lines.numbers)
     for row, (line, count) in enumerate(zip(lines.text, lines.counts, strict=True)):
-        # A delimiter in quotes counts as one at first.
+        # The field count of a line includes delimiters in quotes, so parse the line again.
         fields = _fields(line, lines.delimiter) if count == lines.width else []
         if len(fields) != lines.width:
             table.problems[row] = f"has {len(fields) or count} fields instead of {lines.width}"
@@ -233,19 +237,22 @@ def _parse_row_by_row(lines: _Lines, columns: Sequence[int]) -> _Table:
                 table.values[row, i] = float(fields[column])
             except ValueError:
                 text = fields[column][:20] or "nothing"
-                table.problems.setdefault(row, f"column {column + 1} is no number: {text}")
+                table.problems.setdefault(row, f"column {column + 1} is not a number: {text}")
     return table
 
 
 def _joined(parts: list[tuple[list[str], _Table]], widths: dict[str, int]) -> ForeignSamples:
-    """Return files side by side; rows that one of them lacks are bad."""
+    """Return the combined columns of parallel files.
+
+    A row that is missing in one of the files is invalid.
+    """
     longest = max(parts, key=lambda part: len(part[1].lines))[1]
     samples = ForeignSamples({}, longest.lines)
     for names, table in parts:
         missing = len(longest.lines) - len(table.lines)
         values = np.pad(table.values, ((0, missing), (0, 0)), constant_values=np.nan)
         for row in range(len(table.lines), len(longest.lines)):
-            samples.blame(row, f"{names[0]} ends before, after {len(table.lines)} rows")
+            samples.blame(row, f"{names[0]} ends earlier, after {len(table.lines)} rows")
         for row, why in table.problems.items():
             samples.blame(row, why)
         start = 0
@@ -260,12 +267,15 @@ def _joined(parts: list[tuple[list[str], _Table]], widths: dict[str, int]) -> Fo
 
 
 def read_interleaved(path: Path, layout: ImportMap) -> ForeignSamples:
-    """Return the samples of one file per quantity, with n values a sample (time: one).
+    """Return the samples in files with one quantity each and n values per sample.
 
-    The samples of all files belong together by their number; a bad value spoils its sample.
+    The time file has one value per sample.
+
+    The samples of the files are matched by sample number; an invalid value makes its sample
+    invalid.
 
     Raises:
-        DataError: A file cannot be read or is empty.
+        DataError: A file cannot be read or contains no value.
     """
     files = {
         name: (quantity.file, layout.n_joints) for name, quantity in layout.quantities().items()
@@ -284,24 +294,24 @@ def read_interleaved(path: Path, layout: ImportMap) -> ForeignSamples:
     for name, block in blocks.items():
         short = longest - len(block)
         for row in range(len(block), longest):
-            samples.blame(row, f"{files[name][0] or path.name} ends before")
+            samples.blame(row, f"{files[name][0] or path.name} ends earlier")
         padded = np.pad(block, ((0, short), (0, 0)), constant_values=np.nan)
         samples.columns[name] = padded[:, 0] if name == "t" else padded
     return samples
 
 
 def _samples_of(path: Path, width: int) -> tuple[FloatArray, list[tuple[int, str]]]:
-    """Return (N, width) values, and the samples that are no good with the reason."""
+    """Return the values (N, width), and the invalid samples with their problems."""
     try:
         lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(
-            f"cannot read {path}: {error}", hint="see whether it exists and may be read"
+            f"cannot read {path}: {error}", hint="check that the file exists and is readable"
         ) from error
     while lines and not lines[-1].strip():
         lines.pop()
     if not lines:
-        raise DataError(f"{path} holds no values", hint="is it the whole file?")
+        raise DataError(f"{path} contains no values", hint="check that the file is complete")
     values, problems = _numbers(path, lines, width)
     rest = len(values) % width
     if rest:
@@ -321,5 +331,5 @@ def _numbers(path: Path, lines: list[str], width: int) -> tuple[FloatArray, list
         try:
             values[i] = float(line)
         except ValueError:
-            problems.append((i // width, f"{path.name} line {i + 1} is no number: {line[:20]}"))
+            problems.append((i // width, f"{path.name} line {i + 1} is not a number: {line[:20]}"))
     return values, problems

@@ -1,4 +1,4 @@
-"""Models kept up to date: schedules, stages of a re-identification, runs of a whole fleet."""
+"""Maintenance of robot models: schedules, stages of a re-identification, and fleet runs."""
 
 import lazy_loader
 

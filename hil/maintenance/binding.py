@@ -1,8 +1,8 @@
-"""A schedule bound to the experiments it names, and checked against them.
+"""Schedule with its loaded experiments, checked for problems before it runs unattended.
 
-A schedule runs unattended. What would fail only at night, after all the motion, is found here: no
-model to challenge with, too little data to compare two models on, a probe that says too little, or
-a prompt that nobody would answer (`mismatches`).
+The checks (`mismatches`) detect errors of a schedule that would otherwise appear at night, after
+all motion: no model for a challenge, too little data for a comparison of two models, a probe too
+short to detect changes, or a prompt that no operator would answer.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from hil.workflow import Moves, check_driver
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """A schedule bound to its experiments and their station.
+    """Schedule with its loaded experiments and their station.
 
     Attributes:
-        spec: What the file says.
-        name: Of the models in the registry.
-        probe: The short program; None without one.
-        campaign: The full program.
-        fit: Entry of the campaign's spec whose model challenges the champion.
+        spec: Content of the schedule file.
+        name: Name under which the registry contains the models of the schedule.
+        probe: Loaded probe experiment; None if the schedule has no probe.
+        campaign: Campaign experiment.
+        fit: Entry in the campaign's spec that fits the model which challenges the champion.
     """
 
     spec: ScheduleSpec
@@ -40,27 +40,29 @@ class Bound:
     fit: Fit
 
     def moves(self, file: Path) -> Moves:
-        """Return what the schedule in a file moves."""
+        """Return which robots are moved by the schedule in `file`."""
         parts = {"probe": self.probe, "campaign": self.campaign}
         named = {part: one for part, one in parts.items() if one is not None}
         return Moves(file, self.spec.robots, named)
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
-        """The experiments of the schedule."""
+        """Experiments of the schedule: the probe, if there is one, and the campaign."""
         return (self.campaign,) if self.probe is None else (self.probe, self.campaign)
 
 
 def bind(spec: ScheduleSpec, station: Path | None = None, source: Source | None = None) -> Bound:
-    """Load what a schedule names, check that it fits together, and return it.
+    """Load the files named in a schedule and check that they fit together.
 
     Args:
-        spec: From `load_schedule_spec`.
-        station: In place of the one it names.
-        source: What was read from its file, for messages.
+        spec: Content of the schedule file, from `load_schedule_spec`.
+        station: Station file that replaces the station of the schedule; None for the station of the
+            schedule.
+        source: Parsed schedule file, used for positions in messages.
 
     Raises:
-        SpecError: With a line for every problem of the schedule and of the files it names.
+        SpecError: The schedule or a file named in it has problems; the message has one line per
+            problem.
     """
     at = station or (Path(spec.station) if spec.station else None)
     loaded: dict[str, Experiment] = {}
@@ -91,15 +93,17 @@ def _line(source: Source | None, place: KeyPath, message: str) -> str:
 
 
 def bind_file(file: Path | Source, station: Path | None = None) -> Bound:
-    """Return the schedule of a file, bound to all that it names and checked, drivers included.
+    """Return the schedule of a file with its experiments, after checking them and their drivers.
 
     Args:
-        file: The schedule (YAML), or what was read from it.
-        station: In place of the one it names.
+        file: Path of the schedule file (YAML), or its parsed content.
+        station: Station file that replaces the station of the schedule; None for the station of the
+            schedule.
 
     Raises:
-        SpecError: With a line for every problem of the schedule and of the files it names.
-        PluginError: A driver is missing or does not load.
+        SpecError: The schedule or a file named in it has problems; the message has one line per
+            problem.
+        PluginError: A robot driver is missing or cannot be loaded.
     """
     path = Path(file.name) if isinstance(file, Source) else file
     source = file if isinstance(file, Source) else read_source(file)
@@ -111,18 +115,18 @@ def bind_file(file: Path | Source, station: Path | None = None) -> Bound:
 
 
 Finding = tuple[KeyPath, str]
-"""Where in the schedule, and what is wrong there."""
+"""Position in the schedule file, and description of the problem there."""
 
 
 def mismatches(
     spec: ScheduleSpec, campaign: Experiment, probe: Experiment | None
 ) -> Iterator[Finding]:
-    """Yield what is wrong with a schedule, and where.
+    """Yield the problems of a schedule, each with its position in the file.
 
     Args:
-        spec: The schedule.
-        campaign: The full program that it names.
-        probe: The short one, if it names one.
+        spec: Schedule.
+        campaign: Campaign experiment of the schedule.
+        probe: Probe experiment of the schedule; None if there is no probe.
     """
     yield from _without_challenger(spec, campaign.spec, probed=probe is not None)
     yield from _too_short_to_compare(campaign.spec, None if probe is None else probe.spec)
@@ -135,31 +139,32 @@ def mismatches(
     if robots[0] != robots[1] or probe.robot != campaign.robot:
         yield (
             ("probe", "spec"),
-            f"drives {robots[0]} ({probe.station_source}), and the campaign "
-            f"{robots[1]} ({campaign.station_source}): a probe tells nothing of another robot",
+            f"drives {robots[0]} ({probe.station_source}), but the campaign drives "
+            f"{robots[1]} ({campaign.station_source}): both must use the same robot",
         )
     if _motion(probe.spec) == _motion(campaign.spec):
         yield (
             ("probe", "spec"),
-            "its motion is that of the campaign, so that no model could be judged on "
-            "it: give it another excitation.seed",
+            "it has the same motion as the campaign, so that no model could be evaluated on "
+            "it: give it a different excitation.seed",
         )
     if probe.spec.excitation.kind != campaign.spec.excitation.kind:
         yield (
             ("probe", "spec"),
-            f"its excitation is {probe.spec.excitation.kind}, that of the campaign "
-            f"{campaign.spec.excitation.kind}: the champion could not be compared with it",
+            f"its excitation is {probe.spec.excitation.kind}, the excitation of the campaign is "
+            f"{campaign.spec.excitation.kind}: both must be of the same kind, so that the probe "
+            "can be compared with the champion",
         )
 
 
 def _without_challenger(
     spec: ScheduleSpec, campaign: ExperimentSpec, *, probed: bool
 ) -> Iterator[Finding]:
-    """Yield what keeps the campaign from having just one model that may challenge."""
+    """Yield the problems if the campaign does not fit exactly one model for the challenge."""
     names = [fit.estimator for fit in campaign.fit]
     named = spec.campaign.estimator
     if not names:
-        yield ("campaign", "spec"), f"{campaign.name} has no `fit`: there would be no model"
+        yield ("campaign", "spec"), f"{campaign.name} has no `fit`, so that it yields no model"
         return
     if named and named not in names:
         message = f"{campaign.name} fits {', '.join(names)}, not {named!r}"
@@ -167,36 +172,44 @@ def _without_challenger(
         return
     fits = list(challenging_fits(spec, campaign))
     if len(fits) > 1:
-        message = f"{campaign.name} fits {fits[0].estimator} {len(fits)} times: keep one"
+        message = (
+            f"{campaign.name} fits {fits[0].estimator} {len(fits)} times: keep one of these fits"
+        )
         yield ("campaign", "spec"), message
     model = estimator(fits[0].estimator, **fits[0].parameters)
-    protocol = getattr(model, "protocol", HONEST)  # some know it only when they are fitted
+    protocol = getattr(model, "protocol", HONEST)  # unknown before the fit for some estimators
     if protocol != HONEST:
         yield ("campaign", "estimator"), not_honest(fits[0].estimator, protocol)
     elif probed and not model.tells_friction:
-        why = f"{fits[0].estimator} does not tell friction apart: no probe says what has changed"
-        yield ("campaign", "estimator"), f"{why}; name another, or leave the probe out"
+        why = (
+            f"{fits[0].estimator} does not predict friction separately, so that no probe could "
+            "show what has changed"
+        )
+        yield ("campaign", "estimator"), f"{why}; name another estimator, or remove the probe"
 
 
 def challenging_fits(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[Fit]:
-    """Return the campaign's fits whose model challenges; just one if nothing is wrong."""
+    """Return the fits of the campaign whose models challenge; a valid schedule has exactly one."""
     name = spec.campaign.estimator or campaign.fit[0].estimator
     return (fit for fit in campaign.fit if fit.estimator == name)
 
 
 def not_honest(name: str, protocol: str) -> str:
-    """Return what is wrong with an estimator whose model is never judged."""
-    return f"the model of {name} is not honest and never judged ({protocol}): name another"
+    """Return the problem of an estimator whose model is not fitted under the honest protocol."""
+    return (
+        f"the model of {name} is not fitted under the honest protocol and is therefore not "
+        f"evaluated ({protocol}): name another estimator"
+    )
 
 
 def _too_short_to_compare(
     campaign: ExperimentSpec, probe: ExperimentSpec | None
 ) -> Iterator[Finding]:
-    """Yield what keeps champion and challenger from ever being compared: too few blocks."""
+    """Yield a problem if the campaign yields too few blocks to compare champion and challenger."""
     program = campaign.excitation
     if not campaign.fit or not isinstance(program, Fourier):
         return
-    # If whole loads are held out, no trajectory is: all of them are unseen under these loads.
+    # If whole loads are held out, all trajectories under these loads are unseen.
     motions = campaign.hold_out.trajectories_of(program.trajectories)
     count = _places(program, motions or program.trajectories)
     if probe is not None and isinstance(probe.excitation, Fourier):
@@ -205,38 +218,38 @@ def _too_short_to_compare(
         beside = " and the probe" if probe is not None else ""
         yield (
             ("campaign", "spec"),
-            f"what {campaign.name} holds out{beside} makes {count} different blocks of "
-            f"{BLOCK_S:g} s to compare two models on, and {FEWEST_BLOCKS} are needed: raise "
+            f"the hold-out set of {campaign.name}{beside} contains {count} distinct blocks of "
+            f"{BLOCK_S:g} s, but {FEWEST_BLOCKS} are required to compare two models: raise "
             "validate.hold_out.trajectories",
         )
 
 
 def _places(program: Fourier, trajectories: int) -> int:
-    """Return the number of blocks at different places: the next period comes by the same ones."""
+    """Return the number of distinct blocks, because further periods may repeat the same blocks."""
     each_s = program.periods / program.fundamental_hz
     count = max(1, round(each_s / BLOCK_S))
     return trajectories * (count // gcd(count, program.periods))
 
 
 def _needs_operator(part: str, experiment: Experiment) -> Iterator[Finding]:
-    """Yield a prompt that needs an operator; a mock on a virtual clock answers by itself."""
+    """Yield a problem if a prompt needs an operator; a mock on a virtual clock needs none."""
     prompts = [load.prompt for load in experiment.spec.loads if load.prompt]
     if not prompts:
         return
     try:
         answers_itself = check_driver(experiment).clock == "virtual"
     except (SpecError, PluginError):
-        return  # reported where drivers are checked
+        return  # reported by the check of the drivers
     if not answers_itself:
         yield (
             (part, "spec"),
-            f"{experiment.spec.name} asks for something to be done "
-            f"({prompts[0]!r}), and nobody attends a schedule",
+            f"{experiment.spec.name} has a prompt ({prompts[0]!r}), but a schedule runs without "
+            "an operator",
         )
 
 
 def _too_short_for_drift(probe: ExperimentSpec) -> Iterator[Finding]:
-    """Yield what keeps a probe from saying what has changed: too few blocks."""
+    """Yield a problem if the probe yields too few blocks to detect changes."""
     program = probe.excitation
     if not isinstance(program, Fourier):
         return
@@ -244,12 +257,12 @@ def _too_short_for_drift(probe: ExperimentSpec) -> Iterator[Finding]:
     if program.trajectories * max(1, round(each_s / DRIFT_BLOCK_S)) < FEWEST_DRIFT_BLOCKS:
         yield (
             ("probe", "spec"),
-            f"{program.trajectories} trajectories of {each_s:g} s say too little: "
-            f"make them {FEWEST_DRIFT_BLOCKS * DRIFT_BLOCK_S:g} s together, by more "
-            "excitation.trajectories",
+            f"{program.trajectories} trajectories of {each_s:g} s are too short to detect a "
+            f"change: at least {FEWEST_DRIFT_BLOCKS * DRIFT_BLOCK_S:g} s in total are required; "
+            "raise excitation.trajectories",
         )
 
 
 def _motion(spec: ExperimentSpec) -> dict[str, object]:
-    """Return what decides the poses and trajectories of a program, but for their number."""
+    """Return the settings that determine poses and trajectories, except the number of them."""
     return spec.excitation.model_dump(exclude={"trajectories", "waypoints"})

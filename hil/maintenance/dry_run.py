@@ -1,6 +1,6 @@
-"""Forecast of a schedule: the loop itself, on a clock that is put forward; nothing moves.
+"""Forecast of a schedule: the scheduler loop on a virtual clock, without any motion.
 
-How long each occasion moves the robot follows from the plans of its experiments (`Motions`).
+The motion time of each occasion is computed from the plans of its experiments (`Motions`).
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ from hil.workflow import preview_experiment
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """An occasion that would be done or missed, or several of one kind.
+    """Expected occasion of a schedule, done or missed, or several occasions of the same kind.
 
     Attributes:
-        due: When it is due, UTC; of several, the first.
-        job: `probe` or `campaign`.
-        what: `done` or `missed`.
-        begins: When it would begin; None if it would not.
-        motion: How long it would move the robot if no change is found.
-        why: Why it would begin later than it is due, or not at all; empty otherwise.
-        count: Number of occasions: left out for the same reason, or as regular as those before.
-        again: Whether it was begun before, and is continued.
+        due: Due time, UTC; for several occasions, the due time of the first.
+        job: Job of the occasion, `probe` or `campaign`.
+        what: Expected outcome, `done` or `missed`.
+        begins: Time at which the occasion would begin; None if it would not begin.
+        motion: Motion time of the occasion if no change is detected.
+        why: Reason why the occasion begins late or does not begin; empty otherwise.
+        count: Number of occasions that are omitted for the same reason or follow at regular
+            intervals.
+        again: Flag; true if the occasion was begun earlier and is continued.
     """
 
     due: datetime
@@ -46,7 +47,7 @@ class Expected:
     again: bool = False
 
     def to_dict(self, zone: ZoneInfo) -> dict[str, Any]:
-        """Return an entry of `hil schedule plan --json`; times are of the schedule's zone."""
+        """Return the entry in `hil schedule plan --json`; times are in the schedule's time zone."""
         return {
             "due": self.due.astimezone(zone).isoformat(timespec="seconds"),
             "job": self.job,
@@ -68,18 +69,20 @@ def forecast(
     *,
     alike: int | None = None,
 ) -> list[Expected]:
-    """Return what happens if the schedule runs from now on, the robot is free and has not changed.
+    """Return the expected occasions from now on, if the robot does not change.
 
-    A schedule that is held is treated as if it were released now.
+    The forecast assumes that the robot is free. The forecast treats a held schedule as if it were
+    released now.
 
     Args:
-        spec: The schedule.
-        ledger: As it is now; nothing is written.
-        motions: How long its programs move the robot.
-        now: When it would be started.
-        end: Of the time that is looked at.
-        alike: Number of probes in a row that get an entry each; those that follow as regularly are
-            one entry, as a probe every minute is 40,320 in four weeks. By default each gets one.
+        spec: Schedule.
+        ledger: Current ledger of the schedule, which is not modified.
+        motions: Motion times of the probe and the campaign.
+        now: Time at which the schedule would be started.
+        end: Time at which the forecast ends.
+        alike: Number of consecutive probes that get separate entries. Further regular probes share
+            one entry, because a probe every minute would give 40,320 entries in four weeks. Without
+            `alike`, each probe has a separate entry.
     """
     clock = VirtualClock(now)
     in_memory = Ledger(None, tuple(ledger.lines))
@@ -93,7 +96,7 @@ def forecast(
 
     scheduler = Scheduler(spec, in_memory, work, clock, lasting=motions.longest)
     every = spec.probe.every if spec.probe else None
-    # Probes between two campaigns are alike if each is over before the next is due.
+    # Probes between two campaigns are regular if each ends before the next is due.
     if alike is None or every is None or motions.probe >= every or spec.blackout:
         scheduler.run(end)
     else:
@@ -103,7 +106,7 @@ def forecast(
     return _expected(in_memory.lines[known:], motions)
 
 
-_REGULAR = "as regularly as those before"
+_REGULAR = "at the same interval as before"
 
 
 def _skip_regular_probes(
@@ -113,9 +116,9 @@ def _skip_regular_probes(
     clock: VirtualClock,
     end: datetime,
 ) -> None:
-    """Put the clock forward to the last probe but one before the next campaign, or before the end.
+    """Advance the clock to the last probe but one before the next campaign, or before `end`.
 
-    The ledger gets one line for all the probes in between.
+    The ledger gets a single line for all skipped probes.
     """
     standing, now = scheduler.ledger.standing, clock.now()
     assert standing.anchor is not None
@@ -131,13 +134,13 @@ def _skip_regular_probes(
         return
     last = first + (count - 1) * every
     which = {"since": Occasion(first, "probe").id, "occasion": Occasion(last, "probe").id}
-    # Nothing is missed: this event is the one that settles many occasions at once.
+    # No occasion is missed here, but only this event settles many occasions at once.
     scheduler.ledger.add("missed", now, **which, count=count, why=_REGULAR, until=last.isoformat())
     clock.sleep_until(last)
 
 
 def _expected(lines: list[Line], motions: Motions) -> list[Expected]:
-    """Return what the lines of a ledger say that happens."""
+    """Return the expected occasions that the lines of a ledger describe."""
     expected: list[Expected] = []
     waits = ""
     for line in lines:
@@ -162,20 +165,20 @@ def _expected(lines: list[Line], motions: Motions) -> list[Expected]:
 
 
 ALLOWANCE = 1.1
-"""Factor on the time of a plan, for settling and for pauses of the controller."""
+"""Factor on the planned motion time, which covers settling and pauses of the controller."""
 
 AROUND = timedelta(seconds=60)
-"""Time per run for connecting, preflight and the end of the recording."""
+"""Additional time per run, for connecting, preflight and the end of the recording."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motions:
-    """How long the programs of a schedule move the robot.
+    """Motion times of the two programs of a schedule: probe and campaign.
 
     Attributes:
-        probe: Time of the short program; zero without one.
-        campaign: Time of the full program.
-        on_drift: Whether a probe may lead to a campaign.
+        probe: Motion time of the probe; zero if the schedule has no probe.
+        campaign: Motion time of the campaign.
+        on_drift: Flag; true if a detected change leads to a campaign.
     """
 
     probe: timedelta = timedelta()
@@ -183,11 +186,14 @@ class Motions:
     on_drift: bool = True
 
     def expected(self, job: Job) -> timedelta:
-        """Return the time of motion without a change; a campaign has a probe on either side."""
+        """Return the motion time of an occasion if no change is detected.
+
+        A campaign includes a probe before and a probe after it.
+        """
         return self.probe if job == "probe" else self.campaign + 2 * self.probe
 
     def longest(self, job: Job) -> timedelta:
-        """Return the longest time of an occasion, with what runs take beside motion."""
+        """Return the longest duration of an occasion, including the overhead of its runs."""
         runs = [self.probe]
         if job == "campaign" or self.on_drift:
             runs += [self.campaign, self.probe]
@@ -195,10 +201,10 @@ class Motions:
 
 
 def motions(spec: ScheduleSpec, probe: Experiment | None, campaign: Experiment) -> Motions:
-    """Plan both programs, without connecting to anything, and return how long they move the robot.
+    """Plan probe and campaign without a connection to the robot, and return their motion times.
 
     Raises:
-        PlanError: No safe plan follows from one of them.
+        PlanError: The probe or the campaign has no safe plan.
     """
     short, full = (
         timedelta(seconds=round(preview_experiment(each)[1].duration_s)) if each else timedelta()
@@ -208,17 +214,17 @@ def motions(spec: ScheduleSpec, probe: Experiment | None, campaign: Experiment) 
 
 
 def require_room(spec: ScheduleSpec, motions: Motions, now: datetime) -> None:
-    """Refuse a schedule whose blackouts leave no room for what it does.
+    """Raise if the blackouts of a schedule leave too little time for its occasions.
 
     Raises:
-        SpecError: They do not.
+        SpecError: The time between two blackouts is too short.
     """
     jobs: tuple[Job, ...] = ("campaign",) if spec.probe is None else ("probe", "campaign")
     for job in jobs:
         longest = motions.longest(job)
         if next_free(spec, now, longest)[0] is None:
             raise SpecError(
-                f"blackout: a {job}, with all that may come of it, takes up to "
-                f"{duration_text(longest)}, and there is never so much time between blackouts",
-                hint="make the programs shorter, or the blackouts",
+                f"blackout: a {job}, including the runs that may follow it, takes up to "
+                f"{duration_text(longest)}, which is longer than the time between blackouts",
+                hint="shorten the programs or the blackouts",
             )

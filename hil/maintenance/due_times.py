@@ -1,12 +1,14 @@
-"""Due times and blackouts, and the choice of what is done; pure functions of schedule and ledger.
+"""Due times, blackouts and choice of the next occasion, as pure functions of schedule and ledger.
 
-Times of day are those of the schedule's time zone. A time that the clock skips (when summer time
-begins) is due at the moment of the skip; one that it shows twice is due the first time. Intervals
-are of true time. All results are in UTC.
+Times of day in a schedule are in the time zone of the schedule. If the local clock skips a due time
+(at the start of summer time), the due time is the moment of the skip. If the local clock shows a
+due time twice, the first of the two moments counts. Intervals between due times are in elapsed
+time. All returned times are in UTC.
 
-An occasion that was begun is continued first (`choose`). Of the others that are due, one is done:
-the latest campaign, or if none is due the latest probe; the rest is left out in its favour, since
-one look at the robot is as good as two. What was due too long ago is left out, too.
+An occasion that was begun earlier is continued before any other occasion (`choose`). Only one of
+the other due occasions is done: the latest campaign or, if no campaign is due, the latest probe.
+The remaining due occasions are omitted, because two measurements of the robot at the same time are
+no better than one. Occasions that were due too long ago are omitted as well.
 """
 
 from __future__ import annotations
@@ -26,13 +28,13 @@ from hil.spec import Blackout, ScheduleSpec, Trigger
 
 
 def occasions(spec: ScheduleSpec, anchor: datetime, after: datetime) -> Iterator[Occasion]:
-    """Yield the occasions in order; of a probe and a campaign due together, the campaign alone.
+    """Yield the occasions in order; if probe and campaign are due together, only the campaign.
 
     Args:
-        spec: The schedule.
-        anchor: The minute of its first start: nothing before that is due, and intervals count from
-            it unless the schedule has a `start`.
-        after: Only those due later than this.
+        spec: Schedule.
+        anchor: Minute in which the schedule was started for the first time. No occasion is due
+            before `anchor`, and intervals count from `anchor` unless the schedule has a `start`.
+        after: Time after which occasions are yielded.
     """
     after = max(after, anchor - timedelta(seconds=1))
     start = begin_of(spec, anchor)
@@ -43,13 +45,13 @@ def occasions(spec: ScheduleSpec, anchor: datetime, after: datetime) -> Iterator
     streams = [stream("campaign", spec.campaign)]
     if spec.probe is not None:
         streams.append(stream("probe", spec.probe))
-    # Of occasions that are due at the same time, the campaign sorts first.
+    # If occasions are due at the same time, the campaign sorts first.
     for _, together in groupby(heapq.merge(*streams), key=lambda each: each.due):
         yield next(together)
 
 
 def begin_of(spec: ScheduleSpec, anchor: datetime) -> datetime:
-    """Return from when intervals count, UTC: the schedule's `start`, else its first start."""
+    """Return the time from which intervals count, UTC: `start`, or else the first start."""
     if spec.start is None:
         return anchor.astimezone(UTC)
     if spec.start.tzinfo is None:
@@ -58,13 +60,13 @@ def begin_of(spec: ScheduleSpec, anchor: datetime) -> datetime:
 
 
 def dues(trigger: Trigger, timezone: str, start: datetime, after: datetime) -> Iterator[datetime]:
-    """Yield the due times of a trigger, UTC; endless, unless the calendar has an end.
+    """Yield the due times of a trigger, UTC; the sequence is endless unless a calendar rule ends.
 
     Args:
-        trigger: An interval, a calendar rule, or neither.
-        timezone: Of the calendar.
-        start: From when intervals count; it is a due time itself.
-        after: Only times later than this.
+        trigger: Interval, calendar rule, or neither of the two.
+        timezone: Time zone of the calendar rule.
+        start: Time from which intervals count; this time is itself a due time.
+        after: Time after which due times are yielded.
     """
     if trigger.every is not None:
         yield from _intervals(trigger.every, start, after)
@@ -76,7 +78,7 @@ def _intervals(every: timedelta, start: datetime, after: datetime) -> Iterator[d
     count = max(0, (after - start) // every)
     while True:
         try:
-            # In whole seconds, as the ledger has them.
+            # Due times in the ledger are whole seconds.
             due = (start + count * every).replace(microsecond=0)
         except OverflowError:
             return
@@ -89,8 +91,8 @@ _MINUTE, _DAY = timedelta(minutes=1), timedelta(days=1)
 
 
 def _by_calendar(cron: str, zone: ZoneInfo, after: datetime) -> Iterator[datetime]:
-    # Of a time that the clock shows twice the first counts, which may be before `after`: the
-    # comparison leaves it out.
+    # If the clock shows a time twice, the first one counts. It may be before `after`, so it is
+    # compared below.
     shown = after.astimezone(zone).replace(tzinfo=None)
     wall, before = shown.replace(second=0, microsecond=0), after
     while (following := _next_shown(cron, zone, wall)) is not None:
@@ -100,9 +102,9 @@ def _by_calendar(cron: str, zone: ZoneInfo, after: datetime) -> Iterator[datetim
             before = due
 
 
-@lru_cache(maxsize=1024)  # the loop asks for the same minutes again and again
+@lru_cache(maxsize=1024)  # the loop calls this repeatedly with the same minutes
 def _next_shown(cron: str, zone: ZoneInfo, wall: datetime) -> tuple[datetime, datetime] | None:
-    """Return the first due time from a local time on: as the local clock shows it, and UTC."""
+    """Return the first due time at or after a local time, as local time and as UTC."""
     fires = _calendar(cron).get_next_fire_time(None, wall.replace(tzinfo=UTC))
     if fires is None:
         return None
@@ -112,26 +114,26 @@ def _next_shown(cron: str, zone: ZoneInfo, wall: datetime) -> tuple[datetime, da
 
 @cache
 def _calendar(cron: str) -> Any:
-    """Return the calendar in UTC, where clocks are never put forward or back."""
+    """Return the calendar rule in UTC, which has no clock changes."""
     from apscheduler.triggers.cron import CronTrigger
 
     return CronTrigger.from_crontab(cron, timezone=UTC)
 
 
 def moment_of(wall: datetime, zone: ZoneInfo, *, last: bool = False) -> datetime:
-    """Return when a local clock shows a time, UTC.
+    """Return the moment, UTC, at which a local clock shows a time.
 
     Args:
         wall: Local time, without a time zone.
-        zone: Of the clock.
-        last: Return the second moment of a time that the clock shows twice.
+        zone: Time zone of the local clock.
+        last: Flag; if true, the second moment is returned for a time that the clock shows twice.
     """
     shown = wall.replace(tzinfo=zone, fold=int(last))
     moment = shown.astimezone(UTC)
     if moment.astimezone(zone).replace(tzinfo=None, fold=0) == wall:
         return moment
-    # A skipped time: by the offset before the skip it is after it, by the offset after it before.
-    # The skip is between the two.
+    # A skipped time. The offset from before the skip gives a moment after it, and the offset from
+    # after the skip a moment before it. The skip is between the two.
     late, early = (wall.replace(tzinfo=zone, fold=fold).astimezone(UTC) for fold in (0, 1))
     while late - early > timedelta(seconds=1):
         middle = early + (late - early) // 2
@@ -144,11 +146,11 @@ def moment_of(wall: datetime, zone: ZoneInfo, *, last: bool = False) -> datetime
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A time in which nothing may be done.
+    """Period in which no occasion may be done.
 
     Attributes:
-        begin, end: UTC; the end does not belong to it.
-        why: Its time of day and its reason by the schedule.
+        begin, end: Bounds of the period, UTC; the end does not belong to the period.
+        why: Time of day and reason of the blackout, as stated in the schedule.
     """
 
     begin: datetime
@@ -159,16 +161,17 @@ class Window:
 def next_free(
     spec: ScheduleSpec, moment: datetime, lasting: timedelta
 ) -> tuple[datetime | None, Window | None]:
-    """Return when work may begin that takes so long, and what keeps it from beginning now.
+    """Return the time at which work may begin, and the first blackout before that time.
 
     Args:
-        spec: The schedule.
-        moment: The work begins at this moment or later.
-        lasting: How long it takes; it must end before the next blackout.
+        spec: Schedule.
+        moment: Earliest time at which the work may begin.
+        lasting: Duration of the work, which must end before the next blackout.
 
     Returns:
-        The first such moment, UTC, or None if it fits nowhere between blackouts; and the first
-        blackout in its way, or None if it may begin at once.
+        First time at which the work may begin, UTC, or None if the work fits nowhere between
+        blackouts. Blackout that prevents the work from beginning at `moment`, or None if there is
+        no such blackout.
     """
     lasting = max(lasting, timedelta(seconds=1))
     free, first = moment.astimezone(UTC), None
@@ -182,16 +185,16 @@ def next_free(
 
 
 def _regular_from(spec: ScheduleSpec, moment: datetime) -> datetime:
-    """Return a moment after two whole weeks whose blackouts are those of every later week."""
+    """Return a time by which two regular weeks have passed; later weeks repeat the blackouts."""
     days = [day for one in spec.blackout for day in (one.first, one.last) if day]
     latest = max([moment, *(datetime.combine(day, time(), UTC) for day in days)])
     return latest + 16 * _DAY
 
 
 def window_in(spec: ScheduleSpec, begin: datetime, end: datetime) -> Window | None:
-    """Return the blackout that begins first of those that overlap `begin` … `end`; None if none."""
+    """Return the earliest blackout that overlaps `begin` … `end`, or None if there is none."""
     zone = ZoneInfo(spec.timezone)
-    # A blackout may end on the day after it began; one day more for clocks that are put back.
+    # A blackout may end on the day after its beginning; clock changes need one more day.
     day, last = begin.astimezone(zone).date() - 2 * _DAY, end.astimezone(zone).date()
     windows: list[Window] = []
     while day <= last and not windows:
@@ -224,20 +227,20 @@ _DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
 
 def _begins_on(blackout: Blackout, day: date) -> bool:
-    """Return whether a blackout begins on a day."""
+    """Return whether a blackout begins on a given day."""
     in_season = (blackout.first or day) <= day <= (blackout.last or day)
     return in_season and (not blackout.days or _DAYS[day.weekday()] in blackout.days)
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What is done with everything that is due.
+    """Choice between all due occasions of a schedule.
 
     Attributes:
-        late: Due too long ago, oldest first; left out.
-        instead: Due, and left out in favour of `occasion`.
-        occasion: To be done; None if nothing is.
-        again: Whether it was begun before.
+        late: Occasions that are omitted because they were due too long ago, oldest first.
+        instead: Due occasions that are omitted in favour of `occasion`.
+        occasion: Occasion to do now; None if there is none.
+        again: Flag; true if `occasion` was begun earlier.
     """
 
     late: tuple[Occasion, ...] = ()
@@ -249,13 +252,13 @@ class Choice:
 def choose(
     spec: ScheduleSpec, standing: Standing, now: datetime, due_by: datetime | None = None
 ) -> Choice:
-    """Return what is done at a moment.
+    """Return the choice between all occasions that are due at a moment.
 
     Args:
-        spec: The schedule.
-        standing: State of its ledger, which has been started.
-        now: The moment.
-        due_by: Occasions that are due later wait; by default `now`.
+        spec: Schedule.
+        standing: State of the schedule's ledger, which must have a `started` line.
+        now: Current time.
+        due_by: Time limit of due times; occasions due later wait. None for `now`.
     """
     latest = now - lateness(spec)
     if standing.begun and standing.open is not None:
@@ -273,7 +276,7 @@ def choose(
 
 
 def due_until(spec: ScheduleSpec, standing: Standing, now: datetime) -> Sequence[Occasion]:
-    """Return what is due up to `now` and not settled, oldest first, without the open occasion."""
+    """Return the unsettled occasions due up to `now`, oldest first, without the open occasion."""
     assert standing.anchor is not None
     assert standing.until is not None
     coming = occasions(spec, standing.anchor, standing.until)
@@ -281,19 +284,19 @@ def due_until(spec: ScheduleSpec, standing: Standing, now: datetime) -> Sequence
 
 
 PUNCTUAL = timedelta(minutes=10)
-"""What begins at most so long after it was due is on time: a timer calls every few minutes only."""
+"""Maximum delay of an occasion that counts as on time; a timer checks only every few minutes."""
 
 
 def lateness(spec: ScheduleSpec) -> timedelta:
-    """Return how long after it was due an occasion may begin."""
+    """Return the maximum delay after its due time with which an occasion may begin."""
     return spec.missed_within if spec.missed == "run" else PUNCTUAL
 
 
 def late_words(spec: ScheduleSpec, standing: Standing, late: Sequence[Occasion]) -> str:
-    """Return why late occasions are left out."""
+    """Return the reason why late occasions are omitted."""
     limit = duration_text(spec.missed_within)
     if standing.begun and list(late) == [standing.open]:
-        return f"begun, and not gone on with within {limit}"
+        return f"begun, but not resumed within {limit}"
     because = f", {standing.why}" if standing.open in late and standing.why else ""
     if spec.missed == "skip":
         return f"it could not be done on time{because}"

@@ -1,12 +1,14 @@
-"""A fleet run: one experiment on many robots of a station, some at a time.
+"""Fleet run: one experiment on many robots of a station, with several robots at a time.
 
-Every robot's run is made by a worker process of its own, so that signals are the run's and no run
-ends another's. What a robot has measured and judged is not done again; a run that ended early is
-resumed. The document of the fleet (`hil.recording.FleetGroup`) is written anew after every robot,
-and where it says less than the runs themselves (this process was killed), the runs count.
+A separate worker process executes the run of each robot, because each run handles signals and must
+not end other runs. A robot that is measured and judged is not measured again, and a run that ended
+early is resumed. The document of the fleet (`hil.recording.FleetGroup`) is rewritten after every
+robot. If the fleet process is killed, the fleet document may be out of date; the run directories
+are then authoritative.
 
-The first signal to the fleet stops every arm and starts no other, each further one is passed on:
-the third ends the workers as it would end a run. A worker whose fleet process dies stops its arm.
+After the first signal to the fleet process, every arm stops and no further run starts. Each further
+signal is passed to the workers; the third signal ends the workers, as it would end a single run. If
+the fleet process dies, each worker stops its arm.
 """
 
 from __future__ import annotations
@@ -52,13 +54,14 @@ Document = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Manner:
-    """How the runs of a fleet are done.
+    """Settings of the runs of a fleet.
 
     Attributes:
-        workers: Robots at a time.
-        operator: Who is at the robots; by default the user of this process.
-        waivers: Preflight check → why its failure is accepted.
-        confirmed: That their real robots may move; None if they have none.
+        workers: Number of robots that run at the same time.
+        operator: Name of the operator at the robots; empty for the user of this process.
+        waivers: Mapping from a preflight check to the reason why its failure is accepted.
+        confirmed: Confirmation that the real robots of the fleet may move; None if the fleet has no
+            real robots.
     """
 
     workers: int
@@ -69,12 +72,12 @@ class Manner:
 
 @dataclass(frozen=True, slots=True)
 class FleetReport:
-    """The result of a fleet run.
+    """Result of a fleet run.
 
     Attributes:
-        folder: Of the fleet.
-        members: Every robot whose run was started, now or before.
-        left: Names of the others.
+        folder: Folder of the fleet.
+        members: Robots whose runs were started in this or an earlier fleet run.
+        left: Names of robots whose runs were not started.
     """
 
     folder: Path
@@ -83,24 +86,24 @@ class FleetReport:
 
     @property
     def error(self) -> HilError | None:
-        """The worst: a stop, a robot that did not measure all, a missing model, a rejection."""
+        """Most severe error of all runs: stop, incomplete run, missing model or rejection."""
         worst = worst_error(self.members)
         if self.left and not isinstance(worst, Stopped):
             return Stopped(
-                f"{len(self.left)} robots were not begun",
+                f"{len(self.left)} robots were not started",
                 by_signal=True,
-                hint="hil fleet resume FOLDER goes on with them",
+                hint="continue with: hil fleet resume FOLDER",
             )
         rejected = [member for member in self.members if member.word == "rejected"]
         if worst is None and rejected:
             return Rejected(
-                f"{len(rejected)} of {len(self.members)} models missed their criteria",
-                hint="hil fleet report FOLDER shows which and by how much",
+                f"{len(rejected)} of {len(self.members)} models did not meet their criteria",
+                hint="see the differences with: hil fleet report FOLDER",
             )
         return worst
 
     def to_dict(self) -> Document:
-        """Return the contract of `hil fleet run --json`."""
+        """Return the documented output of `hil fleet run --json`."""
         return {
             "fleet": str(self.folder),
             "robots": [member.to_dict() for member in self.members],
@@ -110,16 +113,18 @@ class FleetReport:
 
 
 OnEnd = Callable[[Member, int, int], object]
-"""Called with a robot whose run has ended, how many have, and how many robots there are."""
+"""Callback that receives a robot whose run has ended, the number of ended runs and the total number
+of robots.
+"""
 
 
 def run_fleet(group: FleetGroup, manner: Manner, tell: OnEnd) -> FleetReport:
-    """Run what is left of a fleet.
+    """Run the experiment on the remaining robots of a fleet.
 
     Args:
-        group: Its folder, held by this process.
-        manner: How runs are made.
-        tell: Called with every robot whose run has ended.
+        group: Folder of the fleet, which must be locked by this process.
+        manner: Settings of the runs.
+        tell: Callback that receives every robot when its run has ended.
     """
     members = [_with_newest_run(group, member) for member in group.members()]
     todo = deque(i for i, member in enumerate(members) if not member.measured)
@@ -143,20 +148,20 @@ def run_fleet(group: FleetGroup, manner: Manner, tell: OnEnd) -> FleetReport:
 
 
 def _with_newest_run(group: FleetGroup, member: Member) -> Member:
-    """Return a robot as its newest run has it, if that says more than the document."""
+    """Return a robot with the report of its newest run, unless it is already measured."""
     run = None if member.measured else group.run_of(member.robot)
     return member if run is None else replace(member, report=_report_from_disk(run), error=None)
 
 
 def _report_from_disk(run: Path) -> Document:
-    """Return a run's report as far as its directory tells it."""
+    """Return the report of a run, as far as the run directory contains it."""
     directory = RunDirectory.open(run)
     status = directory.status
     page = run / "report.html"
     return {
         "run": str(run),
         "uid": directory.start.get("uid", ""),
-        # Measured in full, but not judged: resuming the run does that.
+        # The measurement is complete but not judged; a resumed run judges it.
         "outcome": "interrupted" if status == "completed" and not directory.is_judged else status,
         "verdict": verdict_word(run),
         "models": [str(folder) for folder in models_below(run)],
@@ -165,7 +170,7 @@ def _report_from_disk(run: Path) -> Document:
 
 
 def _after_worker(group: FleetGroup, before: Member, answer: Document) -> Member:
-    """Return a robot by its worker's answer; if the worker died, by its run."""
+    """Return a robot with its worker's answer, or with its run's report if the worker died."""
     about = {"experiment": before.experiment, "robot": before.robot}
     after = Member.from_dict({**answer, **about})
     if isinstance(after.error, Stopped):
@@ -177,20 +182,24 @@ def _after_worker(group: FleetGroup, before: Member, answer: Document) -> Member
 
 
 def robots_left(group: FleetGroup) -> list[str]:
-    """Return the robots without a run; resumed runs keep their own confirmation."""
+    """Return the names of the robots without a run.
+
+    Robots whose runs are resumed are not included, because these runs retain their confirmation.
+    """
     return [one.robot for one in group.members() if group.run_of(one.robot) is None]
 
 
 class Workers:
-    """The worker processes of a fleet, one per robot.
+    """Worker processes of a fleet, one process per robot.
 
     Args:
-        group: Of the fleet.
-        manner: How runs are made.
+        group: Folder of the fleet.
+        manner: Settings of the runs.
 
     Attributes:
-        running: Where each worker answers → its number and its process.
-        stopping: Whether a signal has come: no further worker is started.
+        running: Mapping from the connection of each worker to the number and the process of the
+            worker.
+        stopping: Flag; true after a signal, when no further worker is started.
     """
 
     def __init__(self, group: FleetGroup, manner: Manner) -> None:
@@ -200,7 +209,7 @@ class Workers:
 
     @contextmanager
     def signals(self) -> Iterator[None]:
-        """Pass signals on to the workers while inside; they interrupt nothing here."""
+        """Pass signals to the workers inside the block; a signal does not interrupt the block."""
 
         def stop(number: int, frame: object) -> None:
             self.stopping = True
@@ -212,7 +221,7 @@ class Workers:
         try:
             yield
         except BaseException:
-            self._pass_on()  # such as a full disk: the arms would go on without supervision
+            self._pass_on()  # no arm must move without supervision
             raise
         finally:
             for number, handler in before.items():
@@ -223,7 +232,10 @@ class Workers:
             _terminate(process)
 
     def start(self, i: int, member: Member) -> None:
-        """Start the worker of a robot; Ctrl-C at the terminal does not reach it."""
+        """Start the worker process of a robot.
+
+        Ctrl-C in the terminal does not reach the worker.
+        """
         context = process_context(__name__)
         ours, theirs = context.Pipe(duplex=False)
         args = (self._job(member), theirs, dict(os.environ))
@@ -231,7 +243,7 @@ class Workers:
         process.start()
         theirs.close()
         self.running[ours] = (i, process)
-        if self.stopping:  # the signal came while it was started
+        if self.stopping:  # a signal was received during the start
             _terminate(process)
 
     def _job(self, member: Member) -> Job:
@@ -248,10 +260,10 @@ class Workers:
         )
 
     def answers(self) -> Iterator[tuple[int, Document]]:
-        """Wait for the next workers to answer or to die; yield the number and the answer of each.
+        """Wait until workers answer or die; yield the number and the answer of each.
 
-        An answer is the report of the run as `hil run --json` has it, with `error` (`kind`,
-        `message`, `hint`) if it did not go well.
+        An answer of a worker is the report of the run in the format of `hil run --json`. The answer
+        contains the key `error` (with `kind`, `message`, `hint`) if there was an error.
         """
         ready: list[Any] = []
         while self.running and not ready:
@@ -264,7 +276,7 @@ class Workers:
             except (EOFError, OSError):
                 answer = None
             _wait_until_gone(process)
-            del self.running[connection]  # not before: signals are passed on to it until it is gone
+            del self.running[connection]  # after its exit, as it receives signals until then
             connection.close()
             yield i, {"error": _cause_of_death(process)} if answer is None else answer
 
@@ -276,14 +288,16 @@ def _terminate(process: BaseProcess) -> None:
 
 
 GONE_S = 10.0
-"""A worker that has replied must exit within this time [s], else it is terminated."""
+"""Time limit for the exit of a worker after its answer [s]; a slower worker is terminated."""
 
 SIGNAL_S = 0.5
-"""Longest single wait [s]: a signal that arrives just before a wait does not end it."""
+"""Maximum duration of a single wait [s], needed because a signal just before a wait does not end
+the wait.
+"""
 
 
 def _wait_until_gone(process: BaseProcess) -> None:
-    """Wait until a worker that has answered is gone; its arm is at rest, so it may be killed."""
+    """Wait for the exit of a worker after its answer, and kill it if needed; its arm is static."""
     _join(process)
     for end in (process.terminate, process.kill):
         if process.exitcode is None:
@@ -307,17 +321,19 @@ def _cause_of_death(process: BaseProcess) -> Document:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """The run that a worker makes.
+    """Run of one robot that a worker process executes.
 
     Attributes:
-        spec: The spec as the robot runs it.
-        folder: Where relative paths in it begin.
-        station: The station's file; empty for the one an experiment there would use.
-        runs: Where run directories are kept.
-        before: A run to resume; None to begin one.
-        operator: Who is at the robots.
-        waivers: Preflight check → why its failure is accepted.
-        confirmed: That the fleet's real robots may move; None if it has none.
+        spec: Path of the spec file of this robot.
+        folder: Folder to which relative paths in the spec are relative.
+        station: Path of the station file; empty for the default station of an experiment in
+            `folder`.
+        runs: Folder of run directories.
+        before: Run directory to resume; None for a new run.
+        operator: Name of the operator at the robot.
+        waivers: Mapping from a preflight check to the reason why its failure is accepted.
+        confirmed: Confirmation that the real robots of the fleet may move; None if the fleet has no
+            real robots.
     """
 
     spec: Path
@@ -331,10 +347,11 @@ class Job:
 
 
 def worker_main(job: Job, answer: Connection, environment: Mapping[str, str]) -> None:
-    """Do a job in an environment and send the answer; the entry of a worker process.
+    """Execute a job and send the answer; entry point of a worker process.
 
-    Ctrl-C is for the process that started this one, which passes it on as SIGTERM. When that
-    process dies, the motion is stopped.
+    The environment of the worker process is replaced by `environment`. The worker process ignores
+    Ctrl-C, because the fleet process passes Ctrl-C on as SIGTERM. If the fleet process dies, the
+    worker process stops its arm.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.clear()
@@ -345,7 +362,7 @@ def worker_main(job: Job, answer: Connection, environment: Mapping[str, str]) ->
 
 
 def _end_with_parent() -> None:
-    """Wait for the death of the fleet's process, then stop the arm, as by SIGTERM."""
+    """Wait for the death of the fleet process, then stop the arm as after SIGTERM."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -353,12 +370,12 @@ def _end_with_parent() -> None:
 
 
 def run_job(job: Job) -> Document:
-    """Return the answer of a job's run, see `Workers.answers`."""
+    """Execute a job and return the answer; see `Workers.answers` for its form."""
     try:
         report = _run_attended(job)
     except HilError as error:
         return {"error": _error_document(error)}
-    except Exception as error:  # drivers are plug-ins: whatever one of them raises is its robot's
+    except Exception as error:  # drivers are plug-ins: an error affects one robot only
         return {"error": {"kind": "RobotError", "message": f"{type(error).__name__}: {error}"}}
     document = report.to_dict()
     return document | ({"error": _error_document(report.error)} if report.error else {})
@@ -368,7 +385,7 @@ def _run_attended(job: Job) -> RunReport:
     def desk(confirm: Confirm | None) -> OperatorChannel:
         refused = Unconfirmed("start it with: hil fleet run")
         attended = console_channel(job.operator, confirm=confirm or refused)
-        # A worker has no console: nothing typed ends a pause.
+        # A worker has no console, so that no key can end a pause.
         return replace(attended, go_on=nobody_goes_on)
 
     together, before = job.confirmed, job.before
@@ -386,6 +403,6 @@ def _run_attended(job: Job) -> RunReport:
 
 
 def _error_document(error: HilError) -> Document:
-    # A plug-in's own class is unknown where the answer is read: its base is sent instead.
+    # The receiver may not know the class of a plug-in's error, so send a known base class.
     known = (one.__name__ for one in type(error).__mro__ if hasattr(errors, one.__name__))
     return {"kind": next(known), "message": error.message, "hint": error.hint}

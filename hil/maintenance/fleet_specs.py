@@ -1,7 +1,7 @@
-"""The robots of a fleet, and the spec and the experiment of each of them.
+"""Robots of a fleet, with the spec and the experiment of each robot.
 
-Robots are named by patterns, or by a file with their addresses. All run one spec in which only
-the robot is replaced; the rest of its text stays as it was written.
+The robots of a fleet are selected by patterns, or by a file with their addresses. All robots of a
+fleet run the same spec. Only the name of the robot is replaced in the text of the spec.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from hil.planning import Experiment, find_station
 from hil.spec import Station, load_fleet_spec, resolve_robot, spec_from_text
 
 FEW = 12
-"""Number of robot names that a hint lists at most."""
+"""Maximum number of robot names in the hint of an error."""
 
 
 def robots_like(station: Station, patterns: Sequence[str], where: str) -> tuple[str, ...]:
-    """Return the robots of a station that match any of the patterns, in the station's order.
+    """Return the robots of a station that match a pattern, in the order of the station.
 
     Args:
-        station: With the robots.
-        patterns: As of files: `ur5-*`, `ur5-00[1-9]`, or whole names.
-        where: The station's file, for errors.
+        station: Station with the robots.
+        patterns: File name patterns: `ur5-*`, `ur5-00[1-9]`, or whole names.
+        where: Name of the station file, used in error messages.
 
     Raises:
         SpecError: One of the patterns matches no robot.
@@ -44,14 +44,15 @@ def robots_like(station: Station, patterns: Sequence[str], where: str) -> tuple[
 
 
 def robots_named(words: Sequence[str]) -> tuple[list[str], Path, dict[str, str]]:
-    """Return patterns of robots, the file that names robots with their addresses, and its content.
+    """Return patterns of robots, the file with robots and addresses, and these addresses.
 
     Args:
-        words: Patterns, and files (`*.yaml`). Without a file there are no addresses, and the
-            returned file is one that could be written.
+        words: Patterns of robot names, and names of fleet files (`*.yaml`). If `words` names no
+            fleet file, no addresses are returned, and the returned path is a default for a file
+            that does not exist.
 
     Raises:
-        SpecError: The file has problems.
+        SpecError: A fleet file has problems.
     """
     files = [one for one in words if one.endswith((".yaml", ".yml"))]
     addresses = {name: at for file in files for name, at in load_fleet_spec(file).robots.items()}
@@ -60,36 +61,39 @@ def robots_named(words: Sequence[str]) -> tuple[list[str], Path, dict[str, str]]
 
 
 def spec_for(text: str, name: str, robot: str) -> str:
-    """Return the text of a spec with another robot; the rest stays as it was written.
+    """Return the text of a spec in which only the robot is replaced.
 
     Args:
-        text: YAML.
-        name: Of its file, for errors.
-        robot: Name of the other robot.
+        text: YAML text of the spec.
+        name: Name of the spec file, used in error messages.
+        robot: Name of the robot to insert.
 
     Raises:
-        SpecError: It names no robot whose place could be taken.
+        SpecError: The spec names no robot that could be replaced, or the text is invalid.
     """
     try:
         changed = with_value(text, "robot", json.dumps(robot))
     except ValueError as error:
-        raise SpecError(f"{name}: {error}", hint="`hil validate` says more") from None
+        raise SpecError(
+            f"{name}: {error}", hint=f"check the spec with: hil validate {name}"
+        ) from None
     if changed is None:
-        raise SpecError(f"{name} names no robot", hint="it needs a line such as `robot: ur5`")
+        raise SpecError(f"{name} names no robot", hint="add a line such as `robot: ur5`")
     return changed
 
 
 def experiment_for(text: str, folder: Path, station: Path | None, source: Path) -> Experiment:
-    """Return the experiment of one robot.
+    """Return the loaded experiment of one robot of a fleet.
 
     Args:
-        text: Its spec, from `spec_for`.
-        folder: Folder that relative paths in the spec start at.
-        station: The station file; by default the one an experiment in `folder` would use.
-        source: File that the run names as its spec.
+        text: Text of the robot's spec, from `spec_for`.
+        folder: Folder to which relative paths in the spec are relative.
+        station: Path of the station file; None for the station that an experiment in `folder` would
+            use.
+        source: Spec file that the run records as its source.
 
     Raises:
-        SpecError: Spec or station have problems, or the station lacks the robot.
+        SpecError: The spec or the station has problems, or the station does not contain the robot.
     """
     spec = spec_from_text(text, str(source), folder=folder)
     bench, station_text, where = find_station(folder, station)

@@ -1,19 +1,21 @@
-"""The ledger of a schedule: the result of everything that was due, one JSON line per event.
+"""Ledger of a schedule: results of all due occasions, with one JSON line per event.
 
     STATE/ledger.jsonl          only appended to; every line carries the digest of the one before
     STATE/occasions/ID/         what the work of an occasion has done so far (`stages`)
     STATE/.lock                 held by the process that runs the schedule
 
-An occasion is a job that was due at some time; it is done once. `started` says from when on
-occasions are due. Everything due up to the latest `until` is settled, but for the occasion that is
-open: put off (`deferred`), or `begun` and not ended. It ends as `done`, `failed`, `held` or
-`missed`. Occasions that are left out are `missed`: one line for all that share a reason.
+An occasion is a job that is due at a certain time; each occasion is done only one time. The ledger
+line `started` contains the time from which occasions are due. All occasions with a due time up to
+the latest `until` are settled, except the open occasion. The open occasion was deferred
+(`deferred`), or it was `begun` and has not ended. The open occasion ends with a line `done`,
+`failed`, `held` or `missed`. Omitted occasions get a line `missed`; one line covers all occasions
+that are omitted for the same reason.
 
-From `held` to `released` nothing begins. A schedule is held by a person, by an occasion that ended
-badly at the robot (the robot has to be inspected before it moves again), and by a clock that cannot
-be right.
+No occasion begins between the lines `held` and `released`. A schedule becomes held by a command of
+a user, after an error at the robot (because an operator must inspect the robot before it moves
+again), or after a wrong clock.
 
-`Standing.after` is the state after each line, of the occasion that is open and of the schedule:
+`Standing.after` computes the state of the open occasion and of the schedule after each ledger line:
 
 | state         | line                                        | next state                      |
 |---------------|---------------------------------------------|---------------------------------|
@@ -28,7 +30,8 @@ be right.
 | held          | `released`                                  | not held                        |
 | any           | `started`, `released` with a new anchor     | nothing open, not held          |
 
-One process runs the schedule; others add `held` and `released`, each line under a lock of the file.
+Only one process runs a schedule. Other processes may add the lines `held` and `released`. A file
+lock protects the writing of each line.
 """
 
 from __future__ import annotations
@@ -65,11 +68,12 @@ Job = Literal["probe", "campaign"]
 
 @dataclass(frozen=True, slots=True, order=True)
 class Occasion:
-    """A job that is due at some time.
+    """Job that is due at a certain time.
 
     Attributes:
-        due: When, in UTC.
-        job: `probe` (and what follows from it), or the whole `campaign`.
+        due: Due time of the occasion, UTC.
+        job: Job of the occasion: `probe` (with the stages that follow from it), or the whole
+            `campaign`.
     """
 
     due: datetime
@@ -77,36 +81,37 @@ class Occasion:
 
     @property
     def id(self) -> str:
-        """Unique within a schedule, and a valid folder name: `20261128T030000Z-probe`."""
+        """Identifier within a schedule, also a valid folder name: `20261128T030000Z-probe`."""
         return f"{self.due.astimezone(UTC):%Y%m%dT%H%M%SZ}-{self.job}"
 
 
 @lru_cache(maxsize=1024)
 def occasion_of(text: str) -> Occasion:
-    """Return the occasion of an `Occasion.id`. Raises `ValueError` if it is none."""
+    """Return the occasion with this `Occasion.id`; raise `ValueError` if the text is invalid."""
     moment, _, job = text.partition("-")
     if job not in get_args(Job):
-        raise ValueError(f"{text!r} is no occasion")
+        raise ValueError(f"{text!r} is not the name of an occasion")
     due = datetime.strptime(moment, "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
     return Occasion(due, "probe" if job == "probe" else "campaign")
 
 
 class Work(Protocol):
-    """Does the job of an occasion, or continues it after a crash."""
+    """Function that does the job of an occasion, or continues it after a crash."""
 
     def __call__(self, occasion: Occasion, folder: Path) -> Mapping[str, Any]:
-        """Do the job; what `folder` says is done is not done again.
+        """Do the job; skip the steps that are already done according to the content of `folder`.
 
         Args:
-            occasion: What is due.
-            folder: Of this occasion alone; the same whenever it is continued.
+            occasion: Occasion to work on.
+            folder: Folder that belongs to this occasion only; the same folder is passed when the
+                occasion is continued.
 
         Returns:
-            The result, for the ledger and notifications: at least `text` (one line) and `outcome`
-            (`quiet`, `drift`, `promoted`, `kept`).
+            Result for the ledger and for notifications, with at least the keys `text` (one line)
+            and `outcome` (`quiet`, `drift`, `promoted`, `kept`).
 
         Raises:
-            HilError: It could not be done, or not to its end.
+            HilError: The job failed, or could not be completed.
         """
 
 
@@ -116,16 +121,16 @@ Line = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """The state of a schedule after some lines of its ledger.
+    """State of a schedule after a number of lines of its ledger.
 
     Attributes:
-        anchor: The minute in which the schedule was first started; None before that.
-        until: Everything due until then is settled, but for the open occasion.
-        open: An occasion that was begun or put off, and has not ended; None without one.
-        begun: Whether the open occasion was begun.
-        why: Why it was last put off; empty if it was not.
-        touched: Time of the last line about the open occasion.
-        held: The line that holds the schedule; None if it is not held.
+        anchor: Minute of the first start of the schedule; None before the first start.
+        until: Time up to which all occasions are settled, except the open occasion.
+        open: Open occasion, which was begun or deferred and has not ended; None if there is none.
+        begun: Flag; true if the open occasion was begun.
+        why: Reason of the last deferral of the open occasion; empty if it was not deferred.
+        touched: Time of the last ledger line about the open occasion.
+        held: Ledger line that holds the schedule; None if the schedule is not held.
     """
 
     anchor: datetime | None = None
@@ -137,19 +142,23 @@ class Standing:
     held: Line | None = None
 
     def after(self, line: Line) -> Standing:
-        """Return the state after one more line. Raises `ValueError` or `KeyError` at nonsense."""
+        """Return the state of the schedule after one more ledger line.
+
+        Raises:
+            ValueError, KeyError: The ledger line is invalid.
+        """
         event, at = line["event"], datetime.fromisoformat(line["at"])
         if event == "started":
             anchor = datetime.fromisoformat(line["anchor"])
             return Standing(anchor=anchor, until=anchor - timedelta(seconds=1))
         if event == "released" and "anchor" in line:
-            # The clock was wrong before, and what was settled by it is not settled.
+            # The clock was wrong before, so occasions settled by it count as not settled.
             anchor, until = (datetime.fromisoformat(line[key]) for key in ("anchor", "until"))
             return Standing(anchor=anchor, until=until)
         now = self
         if "until" in line:
             until = datetime.fromisoformat(line["until"])
-            # A clock that was put back settles nothing twice.
+            # `until` never decreases, so that a clock set back repeats no occasion.
             now = replace(self, until=max(until, self.until or until))
         closed = replace(now, open=None, begun=False, why="", touched=None)
         if event == "deferred":
@@ -166,17 +175,17 @@ class Standing:
         if event == "held":
             return replace(closed if "occasion" in line else now, held=line)
         if event == "missed":
-            # The open occasion is due before all others: it is the first that is left out, or none.
+            # The open occasion has the earliest due time: only `since` can be the open one.
             return closed if self.open is not None and self.open.id == line["since"] else now
         return closed if event in ("done", "failed") else now
 
 
 class Ledger:
-    """The lines of a ledger, and the state after them.
+    """Lines of a ledger, and the state of the schedule after these lines.
 
     Args:
-        folder: Of the state; None for a ledger in memory alone, to forecast what would happen.
-        lines: What is in it already.
+        folder: Folder of the schedule's state; None for a ledger in memory, which forecasts use.
+        lines: Initial lines.
     """
 
     def __init__(self, folder: Path | None = None, lines: tuple[Line, ...] = ()) -> None:
@@ -185,18 +194,20 @@ class Ledger:
 
     @classmethod
     def read(cls, folder: Path) -> Ledger:
-        """Return the ledger of a folder; a line that a crash has torn is none.
+        """Return the ledger in a folder; a torn last line is not included.
 
         Raises:
-            DataError: A line is damaged, or not the one that followed the line before.
+            DataError: A line is damaged, or its digest chain to the previous line is broken.
         """
         return cls(folder, tuple(_read_linked(folder / LEDGER_FILE)))
 
     def folder_of(self, occasion: Occasion) -> Path:
-        """Return the folder of an occasion; made when missing, unless the ledger is in memory.
+        """Return the folder of an occasion.
+
+        The folder is created unless the ledger is in memory.
 
         Raises:
-            RecordingError: It cannot be made.
+            RecordingError: The folder cannot be created.
         """
         path = (self.folder or Path()) / OCCASIONS / occasion.id
         if self.folder is not None:
@@ -204,15 +215,15 @@ class Ledger:
         return path
 
     def add(self, event: str, at: datetime, **more: Any) -> Line:
-        """Add a line, which is on the disk when this returns.
+        """Append a line durably.
 
         Raises:
-            DataError: The ledger was damaged meanwhile.
-            RegistryError: It cannot be written.
+            DataError: The ledger file was damaged since it was read.
+            RegistryError: The ledger line cannot be written.
         """
         with self._writing():
             content = {"event": event, "at": time_text(at), **more, "before": self._digest()}
-            line: Line = json.loads(json_line(content))  # as it will be read again: no NaN
+            line: Line = json.loads(json_line(content))  # in the form that it is read
             if self.folder is not None:
                 append_line(self.folder / LEDGER_FILE, line)
                 self._seen = _size(self.folder / LEDGER_FILE)
@@ -221,7 +232,7 @@ class Ledger:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Lock the file while inside, and know what others have added."""
+        """Lock the ledger file inside a block, after reading the lines of other processes."""
         if self.folder is None:
             yield
             return
@@ -230,10 +241,10 @@ class Ledger:
             yield
 
     def refresh(self) -> None:
-        """Read the lines that others have added.
+        """Read the ledger lines that other processes have added.
 
         Raises:
-            DataError: The ledger was damaged meanwhile.
+            DataError: The ledger file was damaged since it was read.
         """
         if self.folder is not None and (size := _size(self.folder / LEDGER_FILE)) != self._seen:
             path, count = self.folder / LEDGER_FILE, len(self.lines)
@@ -242,31 +253,34 @@ class Ledger:
             self._seen = size
 
     def start(self, name: str, now: datetime) -> None:
-        """Add that the schedule was started, if it has not been before.
+        """Add the line `started` to the ledger if it is empty.
 
         Raises:
-            DataError: It is the ledger of another schedule.
+            DataError: The ledger belongs to a different schedule.
         """
         if self.standing.anchor is None:
-            # A timer that fires at 03:00 gets here a little later, and 03:00 is due all the same.
+            # A timer that fires at 03:00 gets here slightly later; 03:00 must be due nevertheless.
             anchor = now.astimezone(UTC).replace(second=0, microsecond=0)
             self.add("started", now, name=name, anchor=time_text(anchor))
         self.require_of(name)
 
     def require_of(self, name: str) -> None:
-        """Raise if it is the ledger of another schedule; an empty one is fine.
+        """Raise if the ledger belongs to a different schedule; an empty ledger is accepted.
 
         Raises:
-            DataError: It is one.
+            DataError: The ledger belongs to a different schedule.
         """
         if self.lines and (own := self.lines[0].get("name")) != name:
             raise DataError(
-                f"{self.folder} is the state of the schedule {own!r}, not of {name!r}",
-                hint="give every schedule a folder of its own with --state",
+                f"{self.folder} is the state folder of the schedule {own!r}, not of {name!r}",
+                hint="use a separate state folder for each schedule: --state FOLDER",
             )
 
     def reload(self) -> None:
-        """Read all lines again, as after an interrupt between writing a line and taking it."""
+        """Read all ledger lines again from the file.
+
+        Reloading is needed if a line was written but an interrupt prevented storing it in memory.
+        """
         if self.folder is not None:
             self._load(tuple(_read_linked(self.folder / LEDGER_FILE)))
 
@@ -290,7 +304,8 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
-            f"cannot make {folder}: {error.strerror or error}", hint="name another with --state"
+            f"cannot create {folder}: {error.strerror or error}",
+            hint="name another folder with --state",
         ) from error
 
 
@@ -301,16 +316,16 @@ def _size(path: Path) -> int:
 def _read_linked(
     path: Path, skip: int = 0, before: str = "", standing: Standing | None = None
 ) -> Iterator[Line]:
-    """Yield the lines of a ledger, each with the digest of the one before it.
+    """Yield the lines of a ledger after checking their digest chain.
 
     Args:
-        path: The file.
-        skip: Number of lines that are known already.
-        before: Digest of the last of these.
-        standing: State after these.
+        path: Ledger file.
+        skip: Number of lines that have already been read.
+        before: Digest of the last line that has already been read.
+        standing: State of the schedule after the lines that have already been read.
 
     Raises:
-        DataError: A line is damaged, or not the one that followed the line before.
+        DataError: A line is damaged, or its digest chain to the previous line is broken.
     """
     standing = standing or Standing()
     for number, raw in read_lines(path)[skip:]:
@@ -333,7 +348,7 @@ def _read_linked(
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Lock a file while inside; the lock goes with the descriptor, however this process ends."""
+    """Lock a file inside a `with` block; the kernel releases the lock if the process dies."""
     try:
         with path.open("ab") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
@@ -341,7 +356,7 @@ def _locked(path: Path) -> Iterator[None]:
     except OSError as error:
         raise RegistryError(
             f"cannot write {path}: {error.strerror or error}",
-            hint="see whether the folder may be written to and the disk has room",
+            hint="check that the folder is writable and that the disk has space",
         ) from error
 
 
@@ -351,38 +366,39 @@ def _digest(line: Line) -> str:
 
 @contextmanager
 def open_ledger(folder: Path, name: str) -> Iterator[Ledger]:
-    """Return the ledger of a folder, with the folder locked while inside.
+    """Lock the folder of a schedule's state inside a `with` block, and yield its ledger.
 
     Args:
-        folder: Of the state; made when missing.
-        name: Of the schedule.
+        folder: Folder of the state; the folder is created if it does not exist.
+        name: Name of the schedule.
 
     Raises:
-        DataError: Another process runs the schedule, or the ledger is damaged.
-        RecordingError: The folder cannot be written to.
+        DataError: A different process runs the schedule, or the ledger is damaged.
+        RecordingError: The folder of the state cannot be written.
     """
     _make_folder(folder)
 
     def busy(holder: Holder) -> DataError:
         return DataError(
             f"the schedule in {folder} is run by {holder}",
-            hint=f"stop that one first, or look at it: hil schedule show FILE --state {folder}",
+            hint=f"stop that process first, or see: hil schedule show FILE --state {folder}",
         )
 
-    with hold_folder(folder, busy, {"schedule": name}, hint="name another with --state"):
+    with hold_folder(folder, busy, {"schedule": name}, hint="name another folder with --state"):
         yield Ledger.read(folder)
 
 
 def time_text(moment: datetime) -> str:
-    """Return a moment as the ledger has it: UTC, whole seconds."""
+    """Return a time in the format of the ledger: UTC with whole seconds."""
     return moment.astimezone(UTC).isoformat(timespec="seconds")
 
 
 def needs_inspection(error: Exception) -> bool:
-    """Return whether the cause may persist at the robot: an interlock, a fault, a stop by hand.
+    """Return whether the cause of an error may still be present at the robot.
 
-    A robot that could not be reached is looked at before it moves again in any case, and a failure
-    without it (a fit, a disk) says nothing of it.
+    Possible causes at the robot are an interlock, a fault, or a stop by an operator. An unreachable
+    robot needs no inspection, because it is checked before it moves again anyway. Errors of other
+    components, such as a fit or a disk, have no cause at the robot.
     """
     if isinstance(error, Stopped):
         return not error.by_signal
@@ -392,55 +408,59 @@ def needs_inspection(error: Exception) -> bool:
 
 
 AHEAD = timedelta(days=1)
-"""A ledger so far ahead of the clock was written with another clock; no time zone is so far off."""
+"""Maximum time by which a ledger may be ahead of the clock. If a ledger is further ahead of the
+clock than this maximum, a clock was wrong, because no time zones differ by so much.
+"""
 
 
 def clock_problem(standing: Standing, now: datetime) -> str:
-    """Return why the clock is, or was, wrong; empty if it may be right."""
+    """Return the reason why the clock is or was wrong; empty if nothing indicates this."""
     if standing.until is None or standing.until <= now + AHEAD:
         return ""
     return (
-        f"the clock shows {time_text(now)}, and everything is settled until "
-        f"{time_text(standing.until)}: set the clock, or release the schedule from now on"
+        f"the clock shows {time_text(now)}, but all occasions until {time_text(standing.until)} "
+        "are already settled: set the clock, or release the schedule to continue from now on"
     )
 
 
 def hold(ledger: Ledger, now: datetime, reason: str, by: str = "") -> Line:
-    """Hold a schedule: nothing begins from now on, but an occasion under way comes to its end.
+    """Hold a schedule: no further occasion begins, but a running occasion is completed.
 
     Args:
-        ledger: Of the schedule.
-        now: The present moment.
-        reason: In words.
-        by: Recorded; by default the user of this process.
+        ledger: Ledger of the schedule to hold.
+        now: Current time.
+        reason: Reason for the hold in words.
+        by: User to record; empty for the user of this process.
 
     Raises:
-        DataError: It is held already.
-        RegistryError: It cannot be written.
+        DataError: The schedule is already held.
+        RegistryError: The ledger cannot be written.
     """
     if (held := ledger.standing.held) is not None:
         raise DataError(
-            f"the schedule is held already: {held['why']}", hint="hil schedule show FILE"
+            f"the schedule is already held: {held['why']}", hint="see: hil schedule show FILE"
         )
     return ledger.add("held", now, why=reason, by=by or operator())
 
 
 def release(ledger: Ledger, now: datetime, reason: str, by: str = "") -> Line:
-    """Release a schedule; if its ledger is ahead of the clock, occasions are due from now on.
+    """Release a held schedule.
+
+    If the ledger is ahead of the clock, occasions are due from now on.
 
     Args:
-        ledger: Of the schedule.
-        now: The present moment.
-        reason: In words.
-        by: Recorded; by default the user of this process.
+        ledger: Ledger of the schedule to release.
+        now: Current time.
+        reason: Reason for the release in words.
+        by: User to record; empty for the user of this process.
 
     Raises:
-        DataError: Nothing holds it.
-        RegistryError: It cannot be written.
+        DataError: The schedule is not held.
+        RegistryError: The ledger cannot be written.
     """
     standing, restart = ledger.standing, {}
     if standing.anchor is not None and clock_problem(standing, now):
         restart = {"anchor": time_text(min(standing.anchor, now)), "until": time_text(now)}
     elif standing.held is None:
-        raise DataError("the schedule is not held", hint="hil schedule show FILE")
+        raise DataError("the schedule is not held", hint="see: hil schedule show FILE")
     return ledger.add("released", now, why=reason, by=by or operator(), **restart)

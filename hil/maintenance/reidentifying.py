@@ -1,15 +1,16 @@
-"""Re-identification, the work of a schedule: probe, and identify the robot again if it has changed.
+"""Re-identification, the work of a schedule: probe a robot, and identify it anew after a change.
 
     begin → probe → drift → campaign → fit → register → check → challenge → summary
 
-A stage may be done again after a crash, so each first looks for what must not happen twice, in the
-place where it would be. A run names the occasion in its start document before anything moves: a
-complete run is used as it is, an interrupted one is resumed. Versions are found by the model's
-digest. A decision is found in the registry's log, where its reason begins with the occasion.
+A stage of the re-identification may be repeated after a crash. Each stage therefore first checks
+whether its side effects already exist. The start document of a run names the occasion before the
+robot moves. A complete run of the occasion is therefore reused, and an interrupted run is resumed.
+A registered version is recognised by the digest of its model. A decision is recognised in the
+registry's log, because its reason begins with the name of the occasion.
 
-If the robot has not changed, champion and challenger are compared on probes of earlier weeks, too:
-a comparison on one day is certain for that day only, and at another room temperature the champion
-may be the better one.
+If the robot has not changed, champion and challenger are compared on probes of earlier weeks, too.
+A comparison on one day is valid for that day only, because the champion may be better at a
+different room temperature.
 """
 
 from __future__ import annotations
@@ -69,10 +70,10 @@ if TYPE_CHECKING:
 
 
 STATES = Path("schedules")
-"""Default folder of the states of schedules, with a folder for each."""
+"""Default folder of schedule states, with one subfolder per schedule."""
 
 BY_HAND = "by-hand"
-"""Folder below a schedule's state, with the occasions of `hil reidentify`."""
+"""Name of the subfolder of a schedule's state that contains the occasions of `hil reidentify`."""
 
 
 def reidentify(
@@ -86,26 +87,30 @@ def reidentify(
     observers: Sequence[Observer] = (),
     tell: Callable[[str], object] | None = None,
 ) -> dict[str, Any]:
-    """Do the work of a schedule once, now, or continue it if it was interrupted recently.
+    """Do the work of a schedule now, exactly one time, or continue it after a recent interruption.
 
     Args:
-        schedule: Its file.
-        station: In place of the one it names.
-        runs: Where run directories are kept.
-        registry: With the champion; challengers are registered in it.
-        state: Folder of the schedule; by default `schedules/NAME`.
-        campaign: Run the full program whatever the probe shows.
-        observers: Receive progress events of the runs, each on its own thread.
-        tell: Called with a short text about what begins.
+        schedule: Schedule file.
+        station: Station file that replaces the station of the schedule; None for the station of the
+            schedule.
+        runs: Folder of run directories.
+        registry: Folder of the registry with the champion; challengers are registered in this
+            registry.
+        state: Folder of the schedule's state; None for `schedules/NAME`.
+        campaign: Flag; if true, the campaign runs regardless of the result of the probe.
+        observers: Receivers of progress events of the runs; each receiver is called on a separate
+            thread.
+        tell: Callback that receives a short text at the beginning of each stage.
 
     Returns:
-        `outcome` (`quiet`, `drift`, `promoted`, `kept`), `text`, `name`, `champion`, `before`,
-        `challenger`, `drift`, `decision`, `errors`, `runs`, `folder`: see docs/reference/files.md.
+        Mapping with the keys `outcome` (`quiet`, `drift`, `promoted`, `kept`), `text`, `name`,
+        `champion`, `before`, `challenger`, `drift`, `decision`, `errors`, `runs`, `folder`: see
+        docs/reference/files.md.
 
     Raises:
-        SpecError: With every problem of the schedule and the files it names.
-        DataError: Another process does the same now, or the schedule is held.
-        HilError: What keeps a stage from its end; the next call continues there.
+        SpecError: The schedule or a file named in it has problems; the message lists all of them.
+        DataError: A different process is running the same schedule, or the schedule is held.
+        HilError: A stage failed; the next call continues with that stage.
     """
     file, at = path_of(schedule), path_of(station) if station else None
     bound = bind_file(file, at)
@@ -116,7 +121,7 @@ def reidentify(
     if hold := Ledger.read(of_schedule).standing.held:
         raise DataError(
             f"the schedule {bound.spec.name} is held: {hold['why']}",
-            hint=f"when the reason is gone: hil schedule release {file} --reason TEXT",
+            hint=f"after you have removed the cause: hil schedule release {file} --reason TEXT",
         )
     job: Job = "campaign" if campaign or bound.probe is None else "probe"
     home = of_schedule / BY_HAND
@@ -128,13 +133,16 @@ def reidentify(
     with open_ledger(home, bound.spec.name):
         occasion = _interrupted_occasion(home, job, bound.spec.missed_within)
         if occasion is not None:
-            report(f"going on with {home / occasion.id}")
+            report(f"continuing {home / occasion.id}")
         occasion = occasion or _new_occasion(home, job)
         return dict(work(occasion, home / occasion.id)) | {"folder": str(home / occasion.id)}
 
 
 def _interrupted_occasion(home: Path, job: Job, within: timedelta) -> Occasion | None:
-    """Return the newest occasion of a job if it was interrupted; not days ago, as robots change."""
+    """Return the newest occasion of a job if this occasion was interrupted recently, or None.
+
+    An occasion older than `within` is not continued, because the robot may have changed since.
+    """
     for folder in sorted(home.glob(f"*-{job}"), reverse=True)[:1]:
         newest = occasion_of(folder.name)
         if stored_result(folder, "summary") is None and newest.due >= datetime.now(UTC) - within:
@@ -143,7 +151,10 @@ def _interrupted_occasion(home: Path, job: Job, within: timedelta) -> Occasion |
 
 
 def _new_occasion(home: Path, job: Job) -> Occasion:
-    """Return an occasion of now, or of the next second that none has: each has its own results."""
+    """Return an occasion that is due now, or at the next second that has no occasion yet.
+
+    Each occasion has a separate folder for its results.
+    """
     occasion = Occasion(datetime.now(UTC).replace(microsecond=0), job)
     while (home / occasion.id).exists():
         occasion = Occasion(occasion.due + timedelta(seconds=1), job)
@@ -151,7 +162,10 @@ def _new_occasion(home: Path, job: Job) -> Occasion:
 
 
 Adapt = Callable[[Experiment, Occasion, str], Experiment]
-"""Returns an experiment as it is run at an occasion, in its stage `probe`, `campaign`, `check`."""
+"""Function that adapts an experiment to an occasion and a stage.
+
+The stage that is passed is `probe`, `campaign` or `check`.
+"""
 
 
 def as_it_is(experiment: Experiment, occasion: Occasion, stage: str) -> Experiment:
@@ -170,26 +184,29 @@ def reidentification(
     confirm: Confirm | None = None,
     tell: Callable[[str], object] = lambda stage: None,
 ) -> Work:
-    """Return the work of a schedule.
+    """Return the function object that does the work of a schedule.
 
     Args:
-        spec: From `load_schedule_spec`.
-        registry: With the champion; challengers are registered in it.
-        runs: Where run directories are kept.
-        station: In place of the one the schedule names.
-        adapt: Changes an experiment for an occasion, for simulations; see `with_options`.
-        observers: Receive progress events of the runs.
-        confirm: Confirms that a real robot may move; by default it may not.
-        tell: Called with the name of every stage that has something to do, when it begins.
+        spec: Content of the schedule file, from `load_schedule_spec`.
+        registry: Registry with the champion; challengers are registered in this registry.
+        runs: Folder of run directories.
+        station: Station file that replaces the station of the schedule; None for the station of the
+            schedule.
+        adapt: Function that changes an experiment for an occasion, used by simulations; see
+            `with_options`.
+        observers: Receivers of progress events of the runs.
+        confirm: Confirmation that a real robot may move; without it, real robots must not move.
+        tell: Callback that receives the name of each stage that is not skipped, when the stage
+            begins.
 
     Returns:
-        A `Work`. Its result has `outcome` (`quiet`, `drift`, `promoted`, `kept`), `text`, `name`,
-        `champion` and `before` (labels of versions, or null), `challenger`, `drift`, `decision`,
-        `errors` and `runs`; see docs/reference/files.md.
+        A `Work`. The result of the returned function has the keys `outcome` (`quiet`, `drift`,
+        `promoted`, `kept`), `text`, `name`, `champion` and `before` (labels of versions, or null),
+        `challenger`, `drift`, `decision`, `errors` and `runs`; see docs/reference/files.md.
 
     Raises:
-        SpecError: With every problem of the schedule and the files it names.
-        PluginError: A driver is missing or does not load.
+        SpecError: The schedule or a file named in it has problems; the message lists all of them.
+        PluginError: A robot driver is missing or cannot be loaded.
     """
     wait_s, may_move = spec.wait_for_robot.total_seconds(), confirm or Unconfirmed()
     measuring = Measuring(runs, wait_s, tuple(observers), confirm=may_move)
@@ -198,14 +215,15 @@ def reidentification(
 
 @dataclass(frozen=True, slots=True)
 class Reidentification:
-    """The work of a bound schedule; see `reidentification`.
+    """Function object that does the work of a bound schedule; see `reidentification`.
 
     Attributes:
-        bound: The schedule and its experiments.
-        registry: With the models.
-        measuring: Makes runs.
-        adapt: Changes an experiment for an occasion.
-        tell: Called with the name of every stage that has something to do, when it begins.
+        bound: Schedule with its loaded experiments.
+        registry: Registry with the models of the schedule.
+        measuring: Unattended runs.
+        adapt: Function that changes an experiment for an occasion.
+        tell: Callback that receives the name of each stage that is not skipped, when the stage
+            begins.
     """
 
     bound: Bound
@@ -215,7 +233,7 @@ class Reidentification:
     tell: Callable[[str], object]
 
     def __call__(self, occasion: Occasion, folder: Path) -> Document:
-        """Do what is due, or what is left of it; see `hil.maintenance.ledger.Work`."""
+        """Do the remaining stages of an occasion; see `hil.maintenance.ledger.Work`."""
         stages = OccasionStages(
             self.bound, self.registry, self.measuring, self.adapt, occasion, self.tell
         )
@@ -223,23 +241,24 @@ class Reidentification:
 
 
 Results = Mapping[str, Document]
-"""Results of the stages before, by name."""
+"""Results of the previous stages of an occasion, by stage name."""
 
 SKIPPED = "skipped"
-"""Key of the result of a stage that was not called for: why it was not."""
+"""Key in the result of a skipped stage; its value is the reason for skipping it."""
 
 
 @dataclass(frozen=True, slots=True)
 class OccasionStages:
-    """The stages of one occasion.
+    """Stages of the work of one occasion.
 
     Attributes:
-        bound: The schedule and its experiments.
-        registry: With the models.
-        measuring: Makes runs.
-        adapt: Changes an experiment for an occasion.
-        occasion: What is due.
-        tell: Called with the name of every stage that has something to do, when it begins.
+        bound: Schedule with its loaded experiments.
+        registry: Registry with the models of the schedule.
+        measuring: Unattended runs.
+        adapt: Function that changes an experiment for an occasion.
+        occasion: Occasion whose stages are done.
+        tell: Callback that receives the name of each stage that is not skipped, when the stage
+            begins.
     """
 
     bound: Bound
@@ -250,7 +269,7 @@ class OccasionStages:
     tell: Callable[[str], object] = lambda stage: None
 
     def all(self) -> list[Stage]:
-        """Return the stages in order; each needs those whose results it uses."""
+        """Return the stages in order; each stage depends on the stages whose results it uses."""
         bound = self.bound
         campaign = {"spec": spec_hash(bound.campaign.spec)}
         probe = {"spec": bound.probe and spec_hash(bound.probe.spec)}
@@ -278,17 +297,17 @@ class OccasionStages:
 
     @property
     def key(self) -> str:
-        """Names the occasion in runs and in the registry's log."""
+        """Name of the occasion, as used in runs and in the registry's log."""
         return f"{self.bound.spec.name}/{self.occasion.id}"
 
     def begin(self, results: Results) -> Document:
-        """Note the champion: what is compared with it must not depend on later promotions."""
+        """Store the current champion, so later promotions do not affect the comparison."""
         registry, name = self.registry, self.bound.name
         champion = registry.aliases(name).champion if name in registry.names() else 0
         return {"begun": utc_now(), "champion": champion or None}
 
     def probe(self, results: Results) -> Document:
-        """Run the short program."""
+        """Run the probe."""
         if self.bound.probe is None:
             return {SKIPPED: "the schedule has no probe"}
         if results["begin"]["champion"] is None:
@@ -296,7 +315,7 @@ class OccasionStages:
         return {"run": self._measured(self.bound.probe, "probe")}
 
     def drift(self, results: Results) -> Document:
-        """Judge whether the probe shows a change, and which."""
+        """Check whether the probe shows a change of the robot, and determine the causes."""
         if SKIPPED in results["probe"]:
             return results["probe"]
         self.tell("drift")
@@ -305,24 +324,28 @@ class OccasionStages:
         champion = f"v{results['begin']['champion']}"
         probe = assess(self.registry, bound.name, run, false_alarm=alarm, champion=champion)
         document = probe.to_dict()
-        del document["features"]  # long; the history of the registry has them
+        del document["features"]  # too long; stored in the history of the registry
         return document
 
     def campaign(self, results: Results) -> Document:
-        """Run the full program, if it is called for."""
+        """Run the campaign if it is due, or if the probe shows a change."""
         bound, changed = self.bound, bool(results["drift"].get("changed"))
         if self.occasion.job == "campaign":
             why = "it is due"
         elif results["begin"]["champion"] is None:
-            why = "the first one"
+            why = "first campaign"
         elif changed and bound.spec.campaign.on_drift:
             why = str(results["drift"]["text"])
         else:
-            return {SKIPPED: "only told, as on_drift is false" if changed else "nothing changed"}
+            return {
+                SKIPPED: "change reported only, because on_drift is false"
+                if changed
+                else "nothing changed"
+            }
         return {"why": why, "run": self._measured(bound.campaign, "campaign")}
 
     def fit(self, results: Results) -> Document:
-        """Take the model that the run has fitted, with its criteria."""
+        """Return the model that the campaign's run has fitted, with the criteria of its spec."""
         if SKIPPED in results["campaign"]:
             return results["campaign"]
         self.tell("fit")
@@ -332,13 +355,13 @@ class OccasionStages:
         if not folders:
             why = [one["error"] for one in verdict["problems"] if one["estimator"] in (name, "")]
             raise FitError(
-                f"{run} has no {name}: {'; '.join(why) or 'it was removed'}",
-                hint=f"hil show {run}",
+                f"{run} has no model of {name}: {'; '.join(why) or 'it was removed'}",
+                hint=f"see: hil show {run}",
             )
         model = max(folders, key=lambda folder: (folder / "evaluation.json").stat().st_mtime_ns)
         evaluation = read_json(model / "evaluation.json")
         if evaluation["protocol"] != HONEST:
-            raise FitError(not_honest(name, evaluation["protocol"]), hint=f"hil show {run}")
+            raise FitError(not_honest(name, evaluation["protocol"]), hint=f"see: hil show {run}")
         held_out = evaluation["held_out"]
         keys = ("what", "unit", "joint_names", "total")
         rows = [row for row in verdict["rows"] if row["estimator"] in (name, "")]
@@ -349,7 +372,7 @@ class OccasionStages:
         }
 
     def register(self, results: Results) -> Document:
-        """Register the model as a version, and as challenger unless that was decided already."""
+        """Register the model as a version, and as challenger unless a decision already exists."""
         if SKIPPED in results["fit"]:
             return results["fit"]
         self.tell("register")
@@ -361,15 +384,15 @@ class OccasionStages:
         return {"version": version.number, "digest": version.digest}
 
     def check(self, results: Results) -> Document:
-        """Run the short program again: the models are compared on data from before and after."""
+        """Run the probe again, to have data from before and after the campaign."""
         if SKIPPED in results["fit"]:
             return results["fit"]
         if self.bound.probe is None or results["begin"]["champion"] is None:
-            return {SKIPPED: "there is no champion to compare with, or no probe"}
+            return {SKIPPED: "there is no champion to compare with, or the schedule has no probe"}
         return {"run": self._measured(self.bound.probe, "check")}
 
     def challenge(self, results: Results) -> Document:
-        """Promote the version, or keep the champion, by the registry's rules; once."""
+        """Promote the version or retain the champion by the registry's rules, exactly one time."""
         if SKIPPED in results["register"]:
             return results["register"]
         self.tell("challenge")
@@ -377,7 +400,7 @@ class OccasionStages:
         return decision | {"champion": self.registry.aliases(self.bound.name).champion or None}
 
     def summary(self, results: Results) -> Document:
-        """Return the result of the occasion, for the ledger and notifications."""
+        """Return the result of the occasion, for the ledger and for notifications."""
         errors = errors_on(self.registry, self.bound.name, results)
         return summary(self.bound.name, results, errors)
 
@@ -389,14 +412,14 @@ class OccasionStages:
 
 @dataclass(frozen=True, slots=True)
 class Measuring:
-    """Makes unattended runs.
+    """Executor of unattended runs of experiments.
 
     Attributes:
-        runs: Where run directories are kept.
-        wait_s: How long to wait for a robot that another process holds [s].
-        observers: Receive progress events.
-        operator: Recorded; by default the user of this process.
-        confirm: Confirms that a real robot may move; by default it may not.
+        runs: Folder of run directories.
+        wait_s: Maximum time to wait for a robot that a different process has leased [s].
+        observers: Receivers of progress events of the runs.
+        operator: Operator to record in the runs; empty for the user of this process.
+        confirm: Confirmation that a real robot may move; without it, real robots must not move.
     """
 
     runs: Path
@@ -406,26 +429,26 @@ class Measuring:
     confirm: Confirm = field(default_factory=Unconfirmed)
 
     def measure(self, experiment: Experiment, occasion: str) -> Path:
-        """Return the run of an occasion: an earlier one, resumed if need be, or a new one.
+        """Return the run of an occasion: a complete run, a resumed run, or a new run.
 
         Args:
-            experiment: What is measured.
-            occasion: Unique among all runs with this spec.
+            experiment: Experiment to run.
+            occasion: Name of the occasion, unique among all runs with the spec of `experiment`.
 
         Returns:
-            The run directory; its recording is complete and it was judged.
+            Run directory that contains a complete recording and a verdict.
 
         Raises:
-            NotConfirmed: A real robot may not, or no longer, be moved.
-            RobotError: The run of this occasion was ended by something other than a crash or a
-                signal: an operator has to look before the arm moves again.
-            HilError: It cannot be begun, or ended early.
+            NotConfirmed: Moving a real robot is not allowed, or the confirmation was withdrawn.
+            RobotError: The run of this occasion ended early, but not by a crash or a signal. After
+                such an error, an operator must inspect the robot before the arm moves again.
+            HilError: The run cannot be started, or it ended early.
         """
         run = run_of(self.runs, experiment, occasion)
         if run is None:
             experiment = replace(experiment, occasion=occasion)
             return self._judged(run_experiment(experiment, runs=self.runs, **self._attendance()))
-        # A verdict is written once everything was measured, whatever came after it.
+        # With a verdict, the measurement is complete, even if a later step failed.
         if RunDirectory(run).is_judged:
             self._require_same_robot(run, experiment)
             _complete_views(run, experiment.spec.study)
@@ -440,15 +463,15 @@ class Measuring:
         return {"desk": desk, "observers": self.observers, "operator": self.operator}
 
     def _require_same_robot(self, run: Path, experiment: Experiment) -> None:
-        """Raise if the arm is not the one that made the run: the occasion continues with it."""
+        """Raise if the connected arm differs from the arm of the run."""
         with held(experiment, wait_s=self.wait_s, report=lambda text: None) as (robot, _):
             require_same_robot(RunDirectory.open(run), describe_robot(robot, experiment.robot))
 
     def _require_confirmed(self, experiment: Experiment) -> None:
-        """Raise if the confirmation that the run began with does not hold any more.
+        """Raise if the confirmation recorded at the start of the run is no longer valid.
 
-        The confirmation of the run itself would do for its rest, but the schedule may have been
-        disarmed since.
+        The confirmation of a run would also cover its remainder, but the schedule may have been
+        disarmed after the start of the run.
         """
         name = experiment.spec.robot
         with opened(name, experiment.robot) as robot:
@@ -459,23 +482,24 @@ class Measuring:
     def _judged(self, report: RunReport) -> Path:
         if not RunDirectory(report.run).is_judged:
             message = f"{report.run} ended early: {report.outcome}"
-            raise report.error or RobotError(message, hint=f"hil show {report.run}")
+            raise report.error or RobotError(message, hint=f"see: hil show {report.run}")
         return report.run
 
 
 class _NoConsole(Console):
-    """No operator, even if the scheduler was started in a terminal."""
+    """Console without an operator, used even if the scheduler was started in a terminal."""
 
     @property
     def present(self) -> bool:
-        """Return False."""
+        """Always False."""
         return False
 
 
 def run_of(runs: Path, experiment: Experiment, occasion: str) -> Path | None:
-    """Return the run of an occasion with this spec at this station; None if there is none.
+    """Return the run of an occasion with the same spec at the same station, or None.
 
-    Schedules of one name may share a folder of runs, and be due at the same time on two robots.
+    The spec and the station are compared because schedules with the same name may share a folder of
+    runs and may be due at the same time on two robots.
     """
     quoted = json.dumps(occasion, ensure_ascii=False).encode()
     facts = {
@@ -486,7 +510,7 @@ def run_of(runs: Path, experiment: Experiment, occasion: str) -> Path | None:
     for path in reversed(run_folders(runs)):
         try:
             raw = (path / "start.json").read_bytes()
-            start = json.loads(raw) if quoted in raw else {}  # parsing thousands would take long
+            start = json.loads(raw) if quoted in raw else {}  # avoids parsing thousands of files
             station = (path / "station.yaml").read_text("utf-8")
         except (OSError, ValueError):
             continue
@@ -496,7 +520,7 @@ def run_of(runs: Path, experiment: Experiment, occasion: str) -> Path | None:
 
 
 def _require_harmless_end(run: Path) -> None:
-    """Raise if an unfinished run did not end by a crash, a signal, or the end of its motion."""
+    """Raise unless an unfinished run ended by a crash, by a signal or after all of its motion."""
     directory = RunDirectory.open(run)
     stop = directory.stop
     if stop is None:
@@ -508,7 +532,7 @@ def _require_harmless_end(run: Path) -> None:
     if ending:
         raise RobotError(
             f"{run} was {ending}",
-            hint=f"look at the robot, then go on with: hil resume {run}",
+            hint=f"inspect the robot, then resume the run: hil resume {run}",
         )
 
 
@@ -516,7 +540,7 @@ BY_SIGNAL = exit_code_of(Stopped("", by_signal=True))
 
 
 def _ending_by_events(events: Sequence[Mapping[str, Any]]) -> str:
-    """Return why the last attempt was being stopped when its process died; empty if it was not."""
+    """Return the reason for a stop during which the process died; empty if there was none."""
     ending = ""
     for event in events:
         if event["kind"] in ("trip", "hung"):
@@ -529,7 +553,7 @@ def _ending_by_events(events: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _complete_views(run: Path, entries: Sequence[StudyEntry]) -> None:
-    """Make the missing studies and the report of a run whose process died after its verdict."""
+    """Create the missing studies and report of a run whose process died after the verdict."""
     if RunDirectory(run).is_reported:
         return
     with contextlib.suppress(HilError):  # a study that fails does not invalidate the run
@@ -539,13 +563,13 @@ def _complete_views(run: Path, entries: Sequence[StudyEntry]) -> None:
 
 
 def decision_in_log(registry: Registry, name: str, key: str, number: int) -> Entry | None:
-    """Return what an occasion has decided already about a version, by the log; None if nothing.
+    """Return the decision of an occasion about a version from the registry's log, or else None.
 
     Args:
-        registry: With the version.
-        name: Of the models.
-        key: Of the occasion.
-        number: Of the version.
+        registry: Registry that contains the version.
+        name: Name of the model.
+        key: Name of the occasion.
+        number: Number of the version.
     """
     entries = (one for one in reversed(registry.log(name)) if one.event in ("promoted", "kept"))
     mine = (one for one in entries if one.version == number and one.reason.startswith(key))
@@ -554,13 +578,13 @@ def decision_in_log(registry: Registry, name: str, key: str, number: int) -> Ent
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """The decision about the model of an occasion.
+    """Decision about the model that an occasion identified.
 
     Attributes:
-        registry: With its version.
-        name: Of the models.
-        key: Of the occasion.
-        results: Of the stages before.
+        registry: Registry that contains the version of the model.
+        name: Name of the model.
+        key: Name of the occasion.
+        results: Results of the previous stages of the occasion.
     """
 
     registry: Registry
@@ -570,24 +594,28 @@ class Decision:
 
     @property
     def number(self) -> int:
-        """Number of the challenger."""
+        """Version number of the challenger."""
         return int(self.results["register"]["version"])
 
     @property
     def before(self) -> int:
-        """Champion when the occasion began, 0 for none."""
+        """Version number of the champion at the beginning of the occasion, 0 for no champion."""
         return int(self.results["begin"]["champion"] or 0)
 
     def take(self) -> Document:
-        """Decide, unless that was done before a crash; return `promoted`, `reason`, `evidence`."""
+        """Decide unless a decision is logged; return `promoted`, `reason` and `evidence`."""
         if self.number == self.before:
-            return {"promoted": False, "reason": "it is the champion itself", "evidence": {}}
+            return {"promoted": False, "reason": "it is the champion already", "evidence": {}}
         about = (self.registry, self.name, self.key, self.number)
         if (entry := decision_in_log(*about)) is None:
             self._decide()
             entry = decision_in_log(*about)
         if entry is None:
-            return {"promoted": False, "reason": "it became champion meanwhile", "evidence": {}}
+            return {
+                "promoted": False,
+                "reason": "it has become champion in the meantime",
+                "evidence": {},
+            }
         reason = entry.reason.removeprefix(self.key).lstrip(" :")
         promoted = entry.event == "promoted"
         return {"promoted": promoted, "reason": reason, "evidence": dict(entry.evidence)}
@@ -598,11 +626,11 @@ class Decision:
         if missed := [row for row in criteria if not row["passed"]]:
             row = missed[0]
             first = f"{row['metric']} of {row['what']} is {row['value']}, at most {row['max']:g}"
-            words = f"{len(missed)} criteria of the campaign are missed: {first}"
+            words = f"{len(missed)} criteria of the campaign are not met: {first}"
             self._keep(words, criteria=missed)
         elif now not in (self.before, self.number):
-            instead = f", instead of v{self.before}" if self.before else ""
-            self._keep(f"v{now} has become champion meanwhile{instead}")
+            instead = f" instead of v{self.before}" if self.before else ""
+            self._keep(f"v{now} has become champion{instead} in the meantime")
         elif self.before:
             self._challenge()
         else:
@@ -614,7 +642,7 @@ class Decision:
             )  # fmt: skip
 
     def _challenge(self) -> None:
-        """Compare both models; criteria are about the campaign alone, which has met them."""
+        """Compare challenger and champion without criteria; only the campaign has to meet them."""
         results = self.results
         runs = [results[stage].get("run") for stage in ("campaign", "probe", "check")]
         earlier: list[Path] = []
@@ -638,21 +666,21 @@ MOST = 5
 
 
 def earlier_probes(registry: Registry, name: str, run: Path) -> list[Path]:
-    """Return the last probes before one, as far back as nothing has changed; at most `MOST`.
+    """Return up to `MOST` probes before the current one that show no change.
 
     Args:
-        registry: With the history of probes.
-        name: Of the models.
-        run: The present probe, by which nothing has changed.
+        registry: Registry with the history of probes.
+        name: Name of the model.
+        run: Run of the current probe, which shows no change.
 
     Returns:
-        Those whose recordings are still there, newest first.
+        Earlier probes whose recordings still exist, newest first.
 
     Raises:
-        RegistryError: The history is damaged.
+        RegistryError: The history of probes is damaged.
     """
-    # A probe has a line for each champion that it was compared with; one that was called changed
-    # by any of them counts as changed.
+    # A probe has one line per champion; it counts as changed if any of these lines reports a
+    # change.
     lines = sorted(probes_of(registry, name), key=lambda one: one.changed)
     by_uid = {one.uid: one for one in lines}
     sources: list[Path] = []
@@ -666,18 +694,18 @@ def earlier_probes(registry: Registry, name: str, run: Path) -> list[Path]:
 
 
 def _has_recording(source: Path) -> bool:
-    """Return whether a run or a recording is still there: neither pruned nor moved away."""
+    """Return whether a run or a recording still exists, neither pruned nor moved."""
     folder = source / "recording"
     return source.is_file() or (folder.is_dir() and bool(recordings_in(folder)))
 
 
 def summary(name: str, results: Results, errors: Document | None) -> Document:
-    """Return the result of `Work`, from those of the stages before.
+    """Return the result of `Work`, composed from the results of the previous stages.
 
     Args:
-        name: In the registry.
-        results: Of the stages before.
-        errors: From `errors_on`.
+        name: Name of the model in the registry.
+        results: Results of the previous stages of the occasion.
+        errors: RMSE of the champions, as returned by `errors_on`.
     """
     drift = results["drift"] if "changed" in results["drift"] else None
     decision = results["challenge"] if "promoted" in results["challenge"] else None
@@ -712,7 +740,7 @@ def _text(drift: Document | None, decision: Document | None, challenger: int | N
     if decision["promoted"]:
         return f"{_label(challenger)} is champion: {decision['reason']}"
     champion = decision["champion"]
-    stays = f"{_label(champion)} stays" if champion else "there is no champion yet"
+    stays = f"{_label(champion)} stays champion" if champion else "there is no champion yet"
     return f"{_label(challenger)} is not promoted, {stays}: {decision['reason']}"
 
 
@@ -721,15 +749,17 @@ def _label(number: int | None) -> str | None:
 
 
 def errors_on(registry: Registry, name: str, results: Results) -> Document | None:
-    """Return the RMSE of the champions on probes, per joint: at the beginning and at the end.
+    """Return the RMSE of the first and the last champion of an occasion on its probes.
 
     Returns:
-        `unit`, `joint_names`, `before` (champion of the beginning on the first probe) and `after`
-        (champion of the end on the last probe), (n,) each, against the filtered effort; None
-        without a probe.
+        Mapping with the keys `unit`, `joint_names`, `before` (RMSE of the champion at the beginning
+        of the occasion, on the first probe) and `after` (RMSE of the champion at the end, on the
+        last probe). Each RMSE, (n,), is computed with respect to the filtered effort. None without
+        a probe.
 
     Raises:
-        DataError, RegistryError: A run or a version was removed or changed meanwhile.
+        DataError, RegistryError: A run or a version was removed or changed since the stages used
+            it.
     """
     first, last = results["probe"].get("run"), results["check"].get("run")
     if first is None:

@@ -1,10 +1,10 @@
-"""The loop of a schedule: what is due is done once, and written into the ledger.
+"""Loop of a schedule: each due occasion is done exactly one time and recorded in the ledger.
 
-The loop works on a clock, so that simulations, forecasts and tests have one of their own. Due times
-are computed from that clock every time, so that a suspended computer, or a clock that was set, does
-no harm. Before an occasion the robot is asked whether it is free and safe to use (`RobotReady`).
-When a blackout begins, work is stopped as by SIGTERM (`interrupt_at`). The result is passed to a
-command of the lab's own (`Command`).
+The clock of the loop can be exchanged: simulations, forecasts and tests use a virtual clock. Due
+times are computed from the clock in every cycle of the loop. A suspended computer or a change of
+the clock therefore causes no error. Before an occasion begins, the loop checks whether the robot is
+free and safe to use (`RobotReady`). When a blackout begins, the running work is stopped as by
+SIGTERM (`interrupt_at`). The result of an occasion is passed to a command of the lab (`Command`).
 """
 
 from __future__ import annotations
@@ -55,50 +55,54 @@ if TYPE_CHECKING:
 
 
 LOOK_AGAIN = timedelta(seconds=60)
-"""Interval at which a robot that was not ready, or a held schedule, is looked at again."""
+"""Interval after which a robot that was not ready, or a held schedule, is checked again."""
 
 LONGEST_WORK = timedelta(days=8)
-"""No occasion takes longer, so that a later blackout interrupts none."""
+"""Maximum duration of an occasion; a blackout that begins later does not interrupt the occasion."""
 
 Line = Mapping[str, Any]
 
 
 class Clock(Protocol):
-    """The clock of a loop."""
+    """Clock of a scheduler loop."""
 
     def now(self) -> datetime:
-        """Return the present moment, with its time zone."""
+        """Return the current time of the clock, with a time zone."""
 
     def sleep_until(self, moment: datetime) -> None:
-        """Wait until then; may return early."""
+        """Wait until the time `moment`; the method may return earlier."""
 
 
 class Interruption(Exception):
-    """Work was interrupted because a blackout began."""
+    """Interruption of work by the beginning of a blackout."""
 
 
 Guard = Callable[[datetime | None], AbstractContextManager[None]]
-"""Interrupts what is done inside at a moment, if there is one, by raising `Interruption`."""
+"""Function that returns a context manager, which raises `Interruption` inside its block at the
+passed time, if a time is passed.
+"""
 
 
 @dataclass
 class Scheduler:
-    """The loop of a schedule.
+    """Loop of a schedule.
 
     Args:
-        spec: The schedule.
-        ledger: Of its state, which no other process runs.
-        work: Does the job of an occasion.
-        clock: The time by which occasions are due.
-        lasting: Returns how long a job takes at most; it must fit between blackouts.
-        ready: Returns why the robot cannot be used now; empty if it can.
-        guard: Interrupts work when a blackout begins.
-        tell: Called with every line that the loop adds to the ledger.
-        notify: Called with the result of an occasion; returns why it could not be passed on, or
-            nothing.
+        spec: Schedule.
+        ledger: Ledger of the schedule's state, which must be locked by this process.
+        work: Function that does the job of an occasion.
+        clock: Clock from which due occasions are determined.
+        lasting: Function that returns the maximum duration of a job; a job must fit between two
+            blackouts.
+        ready: Function that returns the reason why the robot cannot be used now; empty if the robot
+            can be used.
+        guard: Function whose context manager interrupts the work when a blackout begins.
+        tell: Callback that receives every line that the loop adds to the ledger.
+        notify: Callback that receives the ledger line with the result of an occasion. The return
+            value of `notify` is a problem, or an empty text.
 
     Attributes:
-        failure: Error of the last occasion; None if it succeeded.
+        failure: Error of the last occasion; None if the last occasion succeeded.
     """
 
     spec: ScheduleSpec
@@ -116,10 +120,10 @@ class Scheduler:
         self.ledger.start(self.spec.name, self.clock.now())
 
     def run(self, end: datetime | None = None) -> None:
-        """Do what is due whenever it is, until `end` if there is one.
+        """Do every occasion when it is due, until the time `end` if it is set.
 
         Raises:
-            Stopped: A signal came; an occasion that was begun is continued at the next start.
+            Stopped: A signal was received; the unfinished occasion is continued at the next start.
             DataError, RecordingError, RegistryError: The ledger is damaged or cannot be written.
         """
         try:
@@ -131,38 +135,42 @@ class Scheduler:
                 self.clock.sleep_until(min(moments))
         except KeyboardInterrupt:
             raise Stopped(
-                "stopped between two occasions", by_signal=True, hint="hil schedule run goes on"
+                "stopped between two occasions",
+                by_signal=True,
+                hint="continue with: hil schedule run",
             ) from None
 
     def run_once(self) -> None:
-        """Do what is due at this moment, as far as it can be done; what comes due meanwhile waits.
+        """Do the occasions that are due at this moment, but not those that become due meanwhile.
 
         Raises:
-            Stopped, DataError, RecordingError, RegistryError: See `run`.
+            Stopped, DataError, RecordingError, RegistryError: The conditions are the same as for
+                `run`.
         """
         due_by = self.clock.now()
         while self._do_next(due_by):
             pass
 
     def run_due(self, end: datetime | None = None) -> None:
-        """Do everything that is due, as far as it can be done now, and before `end`.
+        """Do all occasions that are due and can be done now, until the time `end`.
 
-        A job that takes longer than its interval is always due again.
+        If a job takes longer than its interval, an occasion of this job is always due.
 
         Raises:
-            Stopped, DataError, RecordingError, RegistryError: See `run`.
+            Stopped, DataError, RecordingError, RegistryError: The conditions are the same as for
+                `run`.
         """
         while (end is None or self.clock.now() < end) and self._do_next():
             pass
 
     def next_moment(self) -> datetime | None:
-        """Return when something may have to be done again; None if never."""
+        """Return the next time at which an occasion may be due; None if there is none."""
         standing, now = self.ledger.standing, self.clock.now()
         assert standing.anchor is not None
         assert standing.until is not None
-        if standing.held is not None:  # it may have been released by then
+        if standing.held is not None:  # check whether it was released
             return now + LOOK_AGAIN
-        # Occasions that come due beside an open one wait for it: they are no reason to wake.
+        # Occasions that become due wait for the open one, so they need no wake-up.
         after = max(now, standing.until) if standing.open else standing.until
         coming = next(occasions(self.spec, standing.anchor, after), None)
         moments = [coming.due] if coming is not None else []
@@ -172,10 +180,11 @@ class Scheduler:
         return min(moments, default=None)
 
     def _do_next(self, due_by: datetime | None = None) -> bool:
-        """Do what is to be done first; return whether there may be more to do.
+        """Do the next occasion; return whether further occasions may be due.
 
         Args:
-            due_by: Occasions that are due later wait; by default the present moment.
+            due_by: Time limit of due times; occasions due later wait. The value of `due_by` is None
+                for the current time.
         """
         self.ledger.refresh()
         now, standing = self.clock.now(), self.ledger.standing
@@ -190,18 +199,18 @@ class Scheduler:
             self._leave_out(choice.late, why, choice.late[-1].due)
         if choice.occasion is None:
             return bool(choice.late)
-        # An occasion that was begun was chosen before: others may have come due since, and are not
+        # A continued occasion was chosen earlier. Occasions that have become due since are not
         # settled by it.
         until = (standing.until if choice.again else None) or due_by
         if choice.instead:
-            why = f"{choice.occasion.id} stands for it"
+            why = f"{choice.occasion.id} replaces it"
             self._leave_out(choice.instead, why, until, instead=choice.occasion.id)
         if (window := self._blackout_for(choice.occasion)) is not None:
             return self._wait_for_end_of(window, choice.occasion, until, again=choice.again)
         if why := self.ready():
             self._put_off(choice.occasion, why, until)
             return False
-        # Waiting for the robot may have taken long, and the schedule may be held by now.
+        # The wait for the robot may have been long: check again for a hold and a blackout.
         self.ledger.refresh()
         standing = self.ledger.standing
         late = choose(self.spec, standing, self.clock.now(), due_by).late
@@ -210,13 +219,13 @@ class Scheduler:
         return self._do(choice.occasion, until, again=choice.again)
 
     def _blackout_for(self, occasion: Occasion) -> Window | None:
-        """Return the blackout that keeps an occasion from beginning now."""
+        """Return the blackout that prevents an occasion from beginning now, or else None."""
         return next_free(self.spec, self.clock.now(), self.lasting(occasion.job))[1]
 
     def _wait_for_end_of(
         self, window: Window, occasion: Occasion, until: datetime, *, again: bool
     ) -> bool:
-        """Put an occasion off until it fits, or leave it out if that is too late."""
+        """Defer an occasion until it fits between blackouts, or omit it if that is too late."""
         now = self.clock.now()
         free, _ = next_free(self.spec, now, self.lasting(occasion.job))
         begins_by = now + self.spec.missed_within if again else occasion.due + lateness(self.spec)
@@ -227,7 +236,7 @@ class Scheduler:
         return True
 
     def _put_off(self, occasion: Occasion, why: str, until: datetime) -> None:
-        """Note that an occasion is put off, once for each reason."""
+        """Record in the ledger that an occasion is deferred, one line per reason."""
         standing = self.ledger.standing
         if (standing.open, standing.why) != (occasion, why):
             self._note("deferred", occasion=occasion.id, why=why, until=time_text(until))
@@ -237,7 +246,7 @@ class Scheduler:
         self._announce(self._note("missed", **which, why=why, until=time_text(until), **more))
 
     def _do(self, occasion: Occasion, until: datetime, *, again: bool) -> bool:
-        """Do the job of an occasion; return whether something else may be due."""
+        """Do the job of an occasion; return whether a further occasion may be due."""
         more = {"again": True} if again else {}
         self._note("begun", occasion=occasion.id, until=time_text(until), **more)
         self.failure = None
@@ -247,12 +256,12 @@ class Scheduler:
             with self.guard(window.begin if window else None):
                 document = self.work(occasion, self.ledger.folder_of(occasion))
         except Interruption:
-            self.ledger.reload()  # it stays open, and is continued after the blackout
+            self.ledger.reload()  # the occasion stays open and continues after the blackout
         except KeyboardInterrupt:
             raise Stopped(
-                f"stopped in the middle of {occasion.id}",
+                f"stopped during {occasion.id}",
                 by_signal=True,
-                hint="hil schedule run goes on with it",
+                hint="resume it with: hil schedule run",
             ) from None
         except Exception as error:
             return self._ended_badly(occasion, error, until)
@@ -263,12 +272,12 @@ class Scheduler:
     def _ended_badly(self, occasion: Occasion, error: Exception, until: datetime) -> bool:
         if isinstance(error, Stopped) and error.by_signal:
             raise error
-        # The robot is gone, or another process took it after `ready` was asked.
+        # The robot was disconnected, or leased by a different process, after `ready` was called.
         if isinstance(error, RobotConnectionError) and (why := self.ready()):
             self._put_off(occasion, why, until)
             return False
         self.failure = error if isinstance(error, HilError) else HilError(f"{error!r}")
-        # Failure and hold are one line: no crash may come between them.
+        # Failure and hold are one line, so that no crash can separate them.
         self._announce(
             self._note(
                 "held" if needs_inspection(error) else "failed",
@@ -292,40 +301,44 @@ class Scheduler:
 
 
 class VirtualClock:
-    """A clock that sleeping puts forward.
+    """Clock that advances when its user sleeps.
 
     Args:
-        moment: Where it starts, with its time zone.
+        moment: Initial time of the clock, with a time zone.
     """
 
     def __init__(self, moment: datetime) -> None:
         self._moment = moment.astimezone(UTC)
 
     def now(self) -> datetime:
-        """Return the moment it shows, UTC."""
+        """Return the time of the virtual clock, UTC."""
         return self._moment
 
     def sleep_until(self, moment: datetime) -> None:
-        """Put it forward to that moment, unless it is past."""
+        """Advance the virtual clock to `moment`, unless that time has passed."""
         self._moment = max(self._moment, moment.astimezone(UTC))
 
     def advance(self, by: timedelta) -> None:
-        """Put it forward."""
+        """Advance the virtual clock by a duration."""
         self._moment += by
 
 
 AWAKE_EVERY = timedelta(seconds=60)
-"""Longest sleep: after it, the time is looked at again, in case the computer was suspended or its
-clock set."""
+"""Longest sleep. The time is checked again after each sleep, in case the computer was suspended or
+its clock was changed.
+"""
 
 _GRACE_S = 12 * 3600
-"""APScheduler would otherwise drop an alarm that is a second late."""
+"""Time by which an alarm may be late without being dropped [s]; by default, APScheduler would drop
+an alarm that is a second late.
+"""
 
 
 class WallClock:
-    """The computer's clock, with APScheduler to wake the thread that sleeps; a context manager.
+    """Clock of the computer, used as a context manager; APScheduler wakes the sleeping thread.
 
-    Work is done on the main thread: only it receives signals.
+    The work of an occasion is done on the main thread, because only the main thread receives
+    signals.
     """
 
     def __init__(self) -> None:
@@ -352,11 +365,11 @@ class WallClock:
         self._scheduler.shutdown(wait=False)
 
     def now(self) -> datetime:
-        """Return the present moment, UTC."""
+        """Return the current time of the computer, UTC."""
         return datetime.now(UTC)
 
     def sleep_until(self, moment: datetime) -> None:
-        """Sleep until then, a minute at most."""
+        """Sleep until the time `moment`, but at most for a minute."""
         now = self.now()
         if moment <= now:
             return
@@ -373,13 +386,13 @@ class WallClock:
 
 @contextlib.contextmanager
 def interrupt_at(moment: datetime | None) -> Iterator[None]:
-    """Interrupt what is done inside at a moment of the wall clock, as by SIGTERM.
+    """Interrupt the work in a `with` block at a time of the wall clock, as by SIGTERM.
 
-    A run then stops its robot safely and can be resumed, as after `kill`. Does nothing outside the
-    main thread, where runs do not get signals.
+    An interrupted run stops its robot safely and can be resumed, as after `kill`. Outside the main
+    thread, runs receive no signals, and the block is not interrupted.
 
     Raises:
-        Interruption: The moment came.
+        Interruption: The time of the interruption was reached.
     """
     if moment is None or threading.current_thread() is not threading.main_thread():
         yield
@@ -389,7 +402,7 @@ def interrupt_at(moment: datetime | None) -> Iterator[None]:
         target=_signal_at, args=(moment, over, sent), name="hil-blackout", daemon=True
     )
     before = signal.getsignal(signal.SIGTERM)
-    if before is signal.SIG_DFL:  # it would end the process
+    if before is signal.SIG_DFL:  # the default handler would end the process
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     watch.start()
     try:
@@ -422,16 +435,16 @@ def _signal_at(moment: datetime, over: threading.Event, sent: threading.Event) -
 
 @dataclass(frozen=True, slots=True)
 class RobotReady:
-    """Whether a robot can be used now.
+    """Check whether a robot can be used now.
 
-    The robot is leased, connected to, and checked as in the preflight: whether it is at rest and
-    without a fault, and its own checks, such as remote control or a protective stop. A robot on
-    a virtual clock belongs to this process, and is always ready.
+    The robot is leased, connected and checked as in the preflight: it must be static and without a
+    fault, and its driver checks, such as remote control or no protective stop, must pass. A robot
+    on a virtual clock belongs to this process and is always ready.
 
     Attributes:
-        experiment: Says which robot of which station.
-        wait_s: How long to wait for a robot that another process holds [s].
-        tell: Called once with the holder that is waited for.
+        experiment: Experiment that names the robot and its station.
+        wait_s: Maximum time to wait for a robot that a different process has leased [s].
+        tell: Callback that is called one time with the process that has leased the robot.
     """
 
     experiment: Experiment
@@ -439,7 +452,7 @@ class RobotReady:
     tell: Callable[[str], object] = lambda text: None
 
     def __call__(self) -> str:
-        """Return why the robot cannot be used now; empty if it can."""
+        """Return the reason why the robot cannot be used now; empty if it can be used."""
         try:
             if check_driver(self.experiment).clock == "virtual":
                 return ""
@@ -447,12 +460,12 @@ class RobotReady:
                 return _trouble(robot)
         except HilError as error:
             return error.message
-        except Exception as error:  # a driver may fail in any way it likes
-            return f"the robot cannot be asked: {error!r}"
+        except Exception as error:  # drivers are plug-ins and may raise anything
+            return f"the robot's state cannot be read: {error!r}"
 
 
 def _trouble(robot: Robot) -> str:
-    """Return what keeps a connected robot from being moved; empty if nothing does."""
+    """Return the reasons why a connected robot must not be moved; empty if there is no reason."""
     state = robot.read()[-1]
     problems = []
     if int(state["status"]) & Status.FAULT or int(state["fault_code"]):
@@ -468,12 +481,12 @@ WITHIN_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command of the lab that is run after every occasion; its failure does not end the loop.
+    """Command of the lab that runs after every occasion; its failure does not end the loop.
 
     Attributes:
-        words: The command and its arguments; empty for none.
-        schedule: Name of the schedule, which its input has.
-        within_s: It is killed after that time [s].
+        words: Command and its arguments; empty if no command is to run.
+        schedule: Name of the schedule, which is part of the input to the command.
+        within_s: Time limit after which the command is killed [s].
     """
 
     words: tuple[str, ...]
@@ -481,7 +494,7 @@ class Command:
     within_s: float = WITHIN_S
 
     def __call__(self, line: Mapping[str, Any]) -> str:
-        """Run it with a line of the ledger as its input; return why that failed, or nothing."""
+        """Run the command with a ledger line as its input; return a problem, or an empty text."""
         if not self.words:
             return ""
         content = {key: value for key, value in line.items() if key != "before"}
@@ -493,7 +506,7 @@ class Command:
             return f"{self.words[0]} cannot be run: {error}"
 
     def _run(self, line: bytes) -> str:
-        # Files, not pipes: a grandchild may keep a pipe open for as long as it likes.
+        # Files instead of pipes: a grandchild process may keep a pipe open forever.
         with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as stderr:
             stdin.write(line)
             stdin.seek(0)
@@ -514,4 +527,6 @@ class Command:
             last = stderr.read().decode("utf-8", "replace").strip().splitlines()[-1:]
         if not code:
             return ""
-        return f"{self.words[0]} ended with {code}" + "".join(f": {plain(text)}" for text in last)
+        return f"{self.words[0]} ended with exit code {code}" + "".join(
+            f": {plain(text)}" for text in last
+        )

@@ -1,12 +1,13 @@
-"""Simulation of a schedule on the embedded mock: weeks at once, by the real loop and the real work.
+"""Simulation of a schedule over weeks on the embedded mock, with the real loop and real work.
 
     FOLDER/runs/ registry/     as of any schedule
     FOLDER/state/              ledger and occasions
     FOLDER/simulation.json     every occasion, with its conditions and its result
     FOLDER/report.html
 
-The clock is put forward to the next due time, and by the duration of each motion. The rest is as on
-a real robot, but room temperature, wear and noise are drawn anew for every occasion (`Conditions`).
+The virtual clock advances to the next due time and by the duration of each motion. A simulation
+differs from use on a real robot only in the clock and in room temperature, wear and noise, which
+are drawn for every occasion (`Conditions`).
 """
 
 from __future__ import annotations
@@ -40,12 +41,12 @@ WEEK = timedelta(weeks=1)
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """The conditions of an occasion.
+    """Simulated conditions of an occasion.
 
     Attributes:
-        day: Days since the simulation's begin.
-        room_c: Temperature of the room [°C].
-        wear: Factor on the friction of each joint; empty for a robot as good as new.
+        day: Number of days since the beginning of the simulation.
+        room_c: Room temperature [°C].
+        wear: Factor on the friction of each joint; empty for a robot without wear.
     """
 
     day: int
@@ -54,12 +55,12 @@ class Conditions:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Options of the mock with these conditions."""
+        """Driver options of the mock for these conditions."""
         return {"room_c": self.room_c} | ({"wear": list(self.wear)} if self.wear else {})
 
 
 def conditions(spec: ScheduleSpec, begin: datetime, occasion: Occasion) -> Conditions:
-    """Return the conditions of an occasion; the same whenever they are asked for."""
+    """Return the simulated conditions of an occasion, which are reproducible."""
     since = occasion.due - begin
     room = round(float(_generator(spec, since).uniform(*spec.simulate.room_c)), 1)
     begun = [wear.factors for wear in spec.simulate.wear if wear.after <= since]
@@ -67,14 +68,16 @@ def conditions(spec: ScheduleSpec, begin: datetime, occasion: Occasion) -> Condi
 
 
 STAGES = ("probe", "campaign", "check")
-"""Runs of an occasion; each has a noise of its own."""
+"""Stages of an occasion that have a run; each run has different noise."""
 
 DAYS = 2**31
-"""Number of values of the mock's option `day`: so many that hardly two runs share one."""
+"""Number of possible values of the mock's option `day`, large enough that two runs rarely have the
+same value.
+"""
 
 
 def noise_day(spec: ScheduleSpec, begin: datetime, occasion: Occasion, stage: str) -> int:
-    """Return a value of the mock's option `day`: another one for every run of an occasion."""
+    """Return a value of the mock's option `day` that differs for every run of an occasion."""
     generator = _generator(spec, occasion.due - begin, 1 + STAGES.index(stage))
     return int(generator.integers(DAYS))
 
@@ -91,25 +94,27 @@ def simulate(
     station: Path | None = None,
     tell: Callable[[Line], object] = lambda line: None,
 ) -> dict[str, Any]:
-    """Simulate a schedule for some weeks; see the module.
+    """Simulate a schedule for some weeks, with results as in the module docstring.
 
     Args:
-        spec: From `load_schedule_spec`.
-        lasting: How long, from its `start`; an occasion that is due at the very end is done.
-        folder: Empty folder for everything that is made.
-        station: In place of the one the schedule names.
-        tell: Called with every line of the ledger.
+        spec: Content of the schedule file, from `load_schedule_spec`.
+        lasting: Simulated duration; an occasion that is due exactly at the end is done.
+        folder: Empty folder for all results of the simulation.
+        station: Station file that replaces the station of the schedule; None for the station of the
+            schedule.
+        tell: Callback that receives every line of the ledger.
 
     Returns:
-        The content of `simulation.json`.
+        Content of `simulation.json`.
 
     Raises:
-        SpecError: A robot is not the embedded mock, or does not have these conditions.
-        HilError: No occasion was done, for this reason.
+        SpecError: A robot of the schedule is not the embedded mock, or it cannot simulate the
+            conditions.
+        HilError: No occasion succeeded; the raised error is that of the last occasion.
     """
     bound = bind(spec, station)
     require_mock(bound)
-    # Whole minutes, as in the ledger: the first occasion is due at the begin, not before it.
+    # Whole minutes, as in the ledger, so that the first occasion is due at the beginning.
     begin = begin_of(spec, datetime.now(UTC).replace(second=0, microsecond=0))
     times = motions(spec, bound.probe, bound.campaign)
     require_room(spec, times, begin)
@@ -121,7 +126,7 @@ def simulate(
     with open_ledger(folder / "state", spec.name) as ledger:
         timed = _Timed(work, clock, times)
         loop = Scheduler(spec, ledger, timed, clock, lasting=times.longest, tell=tell)
-        loop.run(begin + lasting + timedelta(minutes=1))  # with what is due at the very end
+        loop.run(begin + lasting + timedelta(minutes=1))  # include an occasion due at the end
         if loop.failure is not None and not any(line["event"] == "done" for line in ledger.lines):
             raise loop.failure
     document = _document(bound, begin, lasting, times, ledger.lines)
@@ -132,7 +137,7 @@ def simulate(
 
 @dataclass(frozen=True, slots=True)
 class _Adapted:
-    """Gives experiments the conditions of their occasion; an `Adapt`."""
+    """Function that adapts an experiment to the conditions of its occasion; an `Adapt`."""
 
     bound: Bound
     begin: datetime
@@ -145,7 +150,7 @@ class _Adapted:
         return with_options(experiment, options | noise | warm)
 
     def _warmth_of_campaign(self, occasion: Occasion) -> dict[str, float]:
-        """Return the arm's temperature after the campaign: the check begins with it."""
+        """Return the temperature option of the check: the arm temperature after the campaign."""
         key = f"{self.bound.spec.name}/{occasion.id}/campaign"
         run = run_of(self.runs, self(self.bound.campaign, occasion, "campaign"), key)
         if run is None:
@@ -155,7 +160,7 @@ class _Adapted:
 
 @dataclass(frozen=True, slots=True)
 class _Timed:
-    """Work that puts the clock forward by the duration of its motions."""
+    """Work that advances the virtual clock by the duration of its motions."""
 
     work: Work
     clock: VirtualClock
@@ -207,10 +212,12 @@ def _occasion_document(spec: ScheduleSpec, begin: datetime, line: Line) -> dict[
 
 
 def _warmth(folder: Path, name: str, occasions: Sequence[Mapping[str, Any]]) -> Any:
-    """Return what warmth does to friction over the probe's motion, by the first champion's law.
+    """Return the effect of joint temperature on friction over the motion of the probe.
 
-    Once from the beginning to the end of the first campaign, once from the coldest moment of all
-    runs to the warmest; None if that is not known.
+    The effect of temperature on friction is computed with the model of the first champion. The
+    returned values are the effect of the temperature change over the first campaign, and the effect
+    of the difference between the lowest and the highest temperature of all runs. None is returned
+    if the effect of temperature is unknown.
     """
     runs = [each["result"]["runs"] for each in occasions if each["result"]]
     probe = next((each["probe"] for each in runs if "probe" in each), None)
@@ -239,16 +246,17 @@ def _warmth(folder: Path, name: str, occasions: Sequence[Mapping[str, Any]]) -> 
 
 
 def _temperatures(run: Path) -> FloatArray | None:
-    """Return the (N, n) temperatures of the joints [°C]; None if they were not recorded."""
+    """Return the joint temperatures (N, n) [°C] of a run, or None if they were not recorded."""
     data = load_source(run)
     return data["temperature"] if "temperature" in data.columns else None
 
 
 def require_mock(bound: Bound) -> None:
-    """Raise if a robot is not the embedded mock, whose time can be put forward, or refuses options.
+    """Raise if a robot is not the embedded mock on a virtual clock, or rejects its options.
 
     Raises:
-        SpecError: A robot is another one, or does not have such conditions.
+        SpecError: A robot of an experiment is not the embedded mock, or it cannot simulate the
+            conditions.
     """
     for experiment in bound.experiments:
         robot, name = experiment.robot, experiment.spec.robot
@@ -256,7 +264,7 @@ def require_mock(bound: Bound) -> None:
             clock = " in wall time" if robot.driver == "mock" else ""
             raise SpecError(
                 f"{name} ({experiment.station_source}) has the driver {robot.driver}{clock}: only "
-                "the embedded mock lives through weeks at once",
+                "the embedded mock on a virtual clock can simulate weeks",
                 hint="name another station with --station",
             )
     simulated = bound.spec.simulate
@@ -268,14 +276,14 @@ def require_mock(bound: Bound) -> None:
 
 
 def with_options(experiment: Experiment, options: Mapping[str, Any]) -> Experiment:
-    """Return an experiment with some driver options of its robot changed.
+    """Return an experiment in which some driver options of the robot are changed.
 
-    The station that is copied into the run directory has them, too, so that a resumed run has the
-    same robot.
+    The station file in the run directory contains the changed options as well, so a resumed run
+    uses the same robot.
 
     Args:
-        experiment: From `hil.planning.load`.
-        options: Laid over those of the station.
+        experiment: Loaded experiment, from `hil.planning.load`.
+        options: Driver options that replace or extend the options in the station.
     """
     name = experiment.spec.robot
     robot = experiment.robot.model_copy(update={"options": {**experiment.robot.options, **options}})

@@ -1,8 +1,9 @@
-"""Stages that build on each other: a stage that is done is not done again, also after a crash.
+"""Dependent stages of work: a finished stage is not repeated, even after a crash.
 
-`FOLDER/stages/NAME.json` has the result of a stage, and a hash of its inputs: its own settings and
-the results of the stages it needs. As long as the hash is the same the result stays; otherwise the
-stage and everything after it is done again. A damaged file counts as not done.
+`FOLDER/stages/NAME.json` contains the result of a stage and a hash of the stage's inputs. The
+inputs are the settings of the stage and the results of the stages it depends on. As long as the
+hash of its inputs stays the same, the result of a stage is reused. If the hash differs, the stage
+and all dependent stages are repeated. A damaged file of a stage counts as missing.
 """
 
 from __future__ import annotations
@@ -25,15 +26,15 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One stage.
+    """Stage of work whose result is stored.
 
     Attributes:
-        name: Of the stage and its file.
-        do: Does it, and returns its result; called with the results of the stages it needs, by
-            name. It may be called again after a crash, so that it has to look first for what must
-            not happen twice.
-        needs: Names of the stages whose results it uses.
-        inputs: What else it depends on, as JSON; a path stands for the content of its file.
+        name: Name of the stage and of the file with its result.
+        do: Function that does the work of the stage; it receives the results of the stages in
+            `needs`, by name, and returns its own result. The function `do` may be called again
+            after a crash, so it must check for side effects that already exist.
+        needs: Names of the stages whose results this stage uses.
+        inputs: Further inputs as JSON; a path represents the content of the file.
     """
 
     name: str
@@ -43,25 +44,26 @@ class Stage:
 
 
 def run_stages(stages: Sequence[Stage], folder: Path) -> dict[str, Document]:
-    """Do the stages that are not done yet, in the order of their needs.
+    """Do the unfinished stages in the order of their dependencies.
 
     Args:
-        stages: Of distinct names.
-        folder: Their results are stored in `stages` below it.
+        stages: Stages with distinct names.
+        folder: Folder whose subfolder `stages` contains the results of the stages.
 
     Returns:
-        The results of all stages, by name.
+        Results of all stages, by name.
 
     Raises:
-        ValueError: A stage needs one that does not exist, or (by way of others) itself.
-        RecordingError: A result cannot be written.
-        HilError: What a stage raises.
+        ValueError: A stage depends on a stage that does not exist, or the dependencies are
+            circular.
+        RecordingError: The result of a stage cannot be written.
+        HilError: A stage failed.
     """
     results: dict[str, Document] = {}
     marks: dict[str, str] = {}
     for stage in _ordered(stages):
-        # The mark of a needed stage covers its inputs, too: a result that came out equal from
-        # other inputs is another one.
+        # The mark of a stage in `needs` depends on the inputs of that stage, too. An equal result
+        # from different inputs therefore counts as a different result.
         needed = {name: marks[name] for name in stage.needs}
         key = _digest([stage.name, _contents(stage.inputs), needed])
         path = _file_of(folder, stage.name)
@@ -77,7 +79,7 @@ def run_stages(stages: Sequence[Stage], folder: Path) -> dict[str, Document]:
 
 
 def stored_result(folder: Path, name: str) -> Document | None:
-    """Return the result of a stage, whatever its inputs were; None if it was not done."""
+    """Return the stored result of a stage, whatever its inputs; None if there is no result."""
     stored = _read(_file_of(folder, name))
     return stored and stored["document"]
 
@@ -97,7 +99,7 @@ def _ordered(stages: Sequence[Stage]) -> list[Stage]:
         order = TopologicalSorter({stage.name: stage.needs for stage in stages}).static_order()
         return [named[name] for name in order]
     except CycleError as error:
-        raise ValueError(f"stages need each other: {' → '.join(error.args[1])}") from error
+        raise ValueError(f"stages depend on each other: {' → '.join(error.args[1])}") from error
 
 
 def _digest(value: Any) -> str:
@@ -106,12 +108,12 @@ def _digest(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as it reads back from the disk: the first time is like any other."""
+    """Return a value in the form that it has after it was written to a file and read again."""
     return json.loads(json_line(value))
 
 
 def _contents(value: Any) -> Any:
-    """Return inputs with the digests of files in place of their paths."""
+    """Return inputs in which the paths of files are replaced by the digests of the files."""
     if isinstance(value, Path):
         return {"sha256": sha256_of(value)}
     if isinstance(value, Mapping):
@@ -122,7 +124,7 @@ def _contents(value: Any) -> Any:
 
 
 def _read(path: Path) -> Document | None:
-    """Return the content of a stage file; None if it is missing or damaged."""
+    """Return the content of a stage file, or None if the file is missing or damaged."""
     try:
         stored: Document = json.loads(path.read_bytes())
         result = stored["document"]
@@ -143,5 +145,5 @@ def _write(path: Path, name: str, key: str, result: Document) -> None:
     except OSError as error:
         raise RecordingError(
             f"cannot write {path}: {error.strerror or error}",
-            hint="see whether the folder may be written to and the disk has room",
+            hint="check that the folder is writable and that the disk has space",
         ) from error

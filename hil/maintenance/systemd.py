@@ -1,4 +1,4 @@
-"""systemd units of a schedule: a service that keeps running, or a timer that starts one."""
+"""systemd units of a schedule: a permanent service, or a timer that starts a service."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from pathlib import Path
 from hil.core import RecordingError, SpecError, user_name, write_replacing
 
 CALL_EVERY_MIN = 5
-"""Interval of the timer; what is due is decided by the schedule [min]."""
+"""Interval of the timer [min]; the schedule decides which occasions are due at each call."""
 
 STOP_WITHIN_S = 120
-"""Longest time that a robot has to come to rest and a recording to be closed [s]."""
+"""Maximum time to stop a robot and close its recording [s]."""
 
 HANDED_ON = ("HIL_LEASES", "HIL_STATION")
-"""Environment variables that the service gets as they are here."""
+"""Names of environment variables that are copied into the service."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit file.
+    """systemd unit file.
 
     Attributes:
-        name: Of the file.
-        text: Its content.
+        name: File name of the unit.
+        text: Content of the unit file.
     """
 
     name: str
@@ -43,7 +43,7 @@ Wants=network-online.target
 Type={kind}
 {owner}WorkingDirectory={folder}
 {environment}ExecStart={command}
-# A stop by signal is an orderly one: the robot is at rest, and the run is gone on with.
+# After a stop by signal, the robot is at standstill and the run can be resumed.
 SuccessExitStatus=130
 KillSignal=SIGTERM
 KillMode=mixed
@@ -52,7 +52,7 @@ TimeoutStopSec={stop_s}
 
 _RESTART = """Restart=on-failure
 RestartSec=30
-# A mistake in a file, or a schedule that is not armed, does not go away by itself.
+# An invalid file or a schedule that is not armed needs an operator: no restart.
 RestartPreventExitStatus=2 3
 """
 
@@ -61,7 +61,7 @@ StartLimitBurst=5
 """
 
 _TIMER = """[Unit]
-Description=hil schedule {name}: looks whether something is due
+Description=hil schedule {name}: checks whether an occasion is due
 
 [Timer]
 OnCalendar=*:0/{every}
@@ -76,17 +76,17 @@ WantedBy=timers.target
 def units_of(
     name: str, arguments: tuple[str, ...], folder: Path, *, timer: bool, user: bool
 ) -> list[Unit]:
-    """Return the units of a schedule.
+    """Return the systemd units of a schedule.
 
     Args:
-        name: Of the schedule.
-        arguments: Of `hil schedule run`, with absolute paths.
-        folder: Its working directory.
-        timer: Whether a timer starts the service, in place of a service that keeps running.
-        user: Whether the units are for `systemctl --user`.
+        name: Name of the schedule.
+        arguments: Command-line arguments of `hil schedule run`, with absolute paths.
+        folder: Working directory of the service.
+        timer: Flag; true for a timer that starts the service, false for a permanent service.
+        user: Flag; true for units of `systemctl --user`.
 
     Raises:
-        SpecError: A path has characters that a unit cannot have.
+        SpecError: A path contains characters that are not allowed in a unit.
     """
     command = (sys.executable, "-P", "-m", "hil", "schedule", "run", *arguments)
     words = " ".join(_quoted(word) for word in (*command, *(("--once",) if timer else ())))
@@ -95,7 +95,7 @@ def units_of(
     service = _SERVICE.format(
         name=name,
         kind="oneshot" if timer else "exec",
-        # Leases are per user: the schedule must run as the user who also runs experiments by hand.
+        # Leases are per user: the schedule must run as the user who runs other experiments.
         owner="" if user else f"User={user_name()}\n",
         environment="".join(
             f"Environment={_quoted(f'{key}={os.environ[key]}')}\n"
@@ -116,7 +116,7 @@ def units_of(
 
 
 def _quoted(word: str) -> str:
-    """Return a word of ExecStart: quoted, with `%` and `$` as themselves."""
+    """Return a word of the setting ExecStart, quoted, with `%` and `$` escaped."""
     _require_plain(word)
     word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     word = word.replace("$", "$$")
@@ -126,27 +126,31 @@ def _quoted(word: str) -> str:
 def _require_plain(text: str) -> None:
     if not text.isprintable():
         raise SpecError(
-            f"{text!r} has characters that a systemd unit cannot have", hint="rename the folder"
+            f"{text!r} has characters that are not allowed in a systemd unit",
+            hint="rename the folder",
         )
 
 
 def _path(path: Path) -> str:
-    """Return a path as a setting: unquoted, with `%` as itself."""
+    """Return a path as the value of a unit setting, unquoted, with `%` escaped."""
     _require_plain(str(path))
     return str(path).replace("%", "%%")
 
 
 def write_units(units: list[Unit], folder: Path) -> list[Path]:
-    """Write units into a folder, which is made when missing; return the files.
+    """Write units into a folder and return their files.
+
+    The folder is created if it does not exist.
 
     Raises:
-        RecordingError: They cannot be written.
+        RecordingError: The unit files cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
-            f"cannot make {folder}: {error.strerror or error}", hint="name another with --out"
+            f"cannot create {folder}: {error.strerror or error}",
+            hint="name another folder with --out",
         ) from error
     for unit in units:
         write_replacing(folder / unit.name, unit.text.encode())
@@ -154,7 +158,7 @@ def write_units(units: list[Unit], folder: Path) -> list[Path]:
 
 
 def next_words(units: list[Unit], folder: Path, *, user: bool) -> list[str]:
-    """Return the commands that install and start the units."""
+    """Return the shell commands that install and start the units."""
     flag, where = (" --user", "~/.config/systemd/user/") if user else ("", "/etc/systemd/system/")
     files = " ".join(shlex.quote(str(folder / unit.name)) for unit in units)
     commands = [
@@ -164,5 +168,5 @@ def next_words(units: list[Unit], folder: Path, *, user: bool) -> list[str]:
         f"systemctl{flag} enable --now {units[-1].name}",
     ]
     return commands + (
-        ["loginctl enable-linger  # it is to run while nobody is logged in"] if user else []
+        ["loginctl enable-linger  # keep it running while you are logged out"] if user else []
     )

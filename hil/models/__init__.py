@@ -1,10 +1,13 @@
-"""Versions of models: immutable, compared before promotion, and kept for going back to.
+"""Registry of immutable model versions, with comparison before promotion, and rollback.
 
-``REGISTRY/NAME/v0001/`` is a version: model files, and `version.json`, what it is, with digests.
-``REGISTRY/NAME/log.jsonl`` says what was done, line by line: the truth about champions.
-``REGISTRY/NAME/aliases.json`` names champion and challenger for people; it is made from the log.
+- ``REGISTRY/NAME/v0001/`` is the folder of a version: it contains the model files, and
+  `version.json` with origin and digests.
+- ``REGISTRY/NAME/log.jsonl`` is the log of all events of a model name. The log of a model name
+  determines its champion.
+- ``REGISTRY/NAME/aliases.json`` names champion and challenger for human readers. The file
+  `aliases.json` is generated from the log.
 
-`hil.registry("registry")` opens one.
+`hil.registry("registry")` opens the registry in the folder `registry`.
 """
 
 import lazy_loader

@@ -1,23 +1,27 @@
-"""Drift: whether a robot is still the one its model was fitted to, judged by short probes.
+"""Drift detection by short probes: checks whether a robot still matches its model.
 
-`REGISTRY/NAME/probes.jsonl` has a line per probe and champion: the features of the probe
-(`hil.models.drift_features`), and what the charts called changed. A line counts from its line break
-on. A probe is judged against those of the same program under the same champion: along another
-motion a model has other errors.
+`REGISTRY/NAME/probes.jsonl` contains one line per probe and champion: the features of the probe
+(`hil.models.drift_features`) and the changes detected by the charts. A line of `probes.jsonl` is
+committed by its line break. A probe is compared only with probes of the same program under the same
+champion, because the errors of a model differ between motions.
 
-**The chart**, one per feature, has the joint's temperature as a covariate. A feature of an
-unchanged robot is a + b·(T − T̄) + noise: a is not zero since no model is exact, b since the model's
-friction does not follow the temperature exactly. Bayesian regression estimates a, b and the noise
-from the first probes after a model became champion (the reference), with priors of what is usual;
-without a reference the limits are wide, and nothing is called a change. A new probe is compared
-with the prediction for its temperature: by itself, and in an exponentially weighted mean with the
-probes before it, to find slow changes. Predictions are Student-t, as the noise is estimated too,
-and the error of the reference, which all probes share, is counted once. An unchanged robot is
-called changed with a probability of `false_alarm` at most, all features together: each feature gets
-its share of it, half of that for either chart (Bonferroni).
+**The chart.** Each feature of a probe has a chart with the joint temperature T as a covariate. A
+feature of an unchanged robot is a + b·(T − T̄) + noise, with the joint temperature T and its mean
+T̄. The coefficient a of a feature is not zero because no model is exact. The coefficient b of a
+feature is not zero because the model's friction does not follow the temperature exactly. The first
+probes after a model became champion form the reference. Bayesian regression with priors for usual
+robots estimates a, b and the noise from the reference. Without a reference, the limits of the
+charts are wide, so no change is detected. The features of a new probe are compared with their
+prediction for its temperature. To detect slow changes, an exponentially weighted mean of the new
+and the earlier probes is compared with the prediction, too. Predictions of features are Student-t
+distributed, because the noise is estimated as well. The estimation error of the reference, which
+all probes share, is counted only one time in the mean of several probes. The false-alarm rate of an
+unchanged robot is at most `false_alarm` for all features together. Each feature gets an equal share
+of this rate, and each of its two tests gets half of that share (Bonferroni).
 
-**The cause.** One cause moves the estimates of others too, so the one that explains most is named
-first, then what is left without it (`causes`).
+**The cause.** A single cause of a change affects the estimates of several features. Therefore the
+cause that explains most of the deviations is named first, then the causes that explain the
+remainder (`causes`).
 """
 
 from __future__ import annotations
@@ -52,20 +56,21 @@ PROBES_FILE = "probes.jsonl"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Probe:
-    """One probe under one champion.
+    """Result of one probe under one champion.
 
     Attributes:
-        uid: Identity of its run or recording.
-        at: When it was taken, ISO 8601.
-        source: Where its run or recording was then.
-        program: Hash of its spec (a plan depends on where the arm stood); empty for a recording.
-        champion: Version it was compared with.
-        false_alarm: Probability, at most, with which an unchanged robot is called changed.
-        features: What it measured.
-        changed: Whether the charts call the robot changed.
-        causes: What has changed.
-        p: Smallest probability of a feature's deviation, of both charts.
-        reference: Number of probes it was compared with.
+        uid: Identity of the probe's run or recording.
+        at: Time of the probe measurement, ISO 8601.
+        source: Path of the run or recording at the time of the assessment.
+        program: Hash of the spec; empty for a recording. (A hash of the plan would depend on the
+            initial pose of the arm.)
+        champion: Version of the champion with which the probe was compared.
+        false_alarm: Maximum false-alarm rate for an unchanged robot.
+        features: Measured features.
+        changed: Whether the charts detect a change of the robot.
+        causes: Causes of the detected change; empty if no change is detected.
+        p: Smallest p-value over all features and the two tests of each feature.
+        reference: Number of probes that form the reference.
     """
 
     uid: str
@@ -82,7 +87,7 @@ class Probe:
 
     @property
     def text(self) -> str:
-        """The result in one line."""
+        """Result of the probe in one line."""
         if self.changed:
             return causes_text(self.causes)
         if self.reference < 2:
@@ -91,7 +96,7 @@ class Probe:
         return f"nothing has changed (smallest p {self.p:.2g}, {self.reference} probes to compare)"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract of `hil drift --json`, which is a line of the file."""
+        """Return the documented output of `hil drift --json`, which is also a line of the file."""
         return {
             "uid": self.uid, "at": self.at, "source": self.source,
             "program": self.program, "champion": self.champion, "false_alarm": self.false_alarm,
@@ -102,10 +107,10 @@ class Probe:
 
 
 def probes_of(registry: Registry, name: str) -> list[Probe]:
-    """Return all probes of a name, in the order in which they were judged.
+    """Return all probes of a model name, in the order of their assessment.
 
     Raises:
-        RegistryError: A line is damaged.
+        RegistryError: A line of the file with the probes is damaged.
     """
     path = registry.root / name / PROBES_FILE
     return [_probe(path, number, line) for number, line in read_lines(path)]
@@ -125,12 +130,12 @@ def _probe(path: Path, number: int, line: bytes) -> Probe:
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise RegistryError(
             f"{path}:{number}: damaged: {error}",
-            hint="restore the file from a backup, or move it away: charts then begin anew",
+            hint="restore the file from a backup, or move it away to start new charts",
         ) from error
 
 
 FALSE_ALARM = 0.01
-"""Default rate of false alarms of one probe, all features together."""
+"""Default false-alarm rate of one probe, for all features together."""
 
 
 def assess(
@@ -141,20 +146,21 @@ def assess(
     false_alarm: float = FALSE_ALARM,
     champion: str = "champion",
 ) -> Probe:
-    """Judge a probe against the champion and the probes before it, and add it to the history.
+    """Check a probe against the champion and earlier probes, and add it to the history.
 
-    The same probe under the same champion is judged once: the first result is returned again.
+    A probe is assessed only one time per champion; further calls return the stored result.
 
     Args:
-        registry: With a champion of that name.
+        registry: Registry that contains a champion of the name.
         name: Name of the robot's models.
         source: Run directory or recording of the probe.
-        false_alarm: Rate of false alarms of one probe, all features together, at most.
-        champion: The version, such as `v3`, if another may have become champion meanwhile.
+        false_alarm: Maximum false-alarm rate of one probe, for all features together.
+        champion: Version to compare the probe with, such as `v3`, if the champion may change during
+            the call.
 
     Raises:
-        DataError: The source cannot be read, or the champion was fitted to it.
-        RegistryError: There is no champion, or the history is damaged.
+        DataError: The source cannot be read, or the champion was fitted to the source.
+        RegistryError: The name has no champion, or the history of its probes is damaged.
     """
     version = registry.version(name, champion)
     model = registry.load(name, version.label)
@@ -181,16 +187,16 @@ def assess(
 
 
 def quiet_like(probes: Iterable[Probe], champion: int, program: str) -> list[Probe]:
-    """Return the unchanged probes of a program under a champion, which judge further ones."""
+    """Return the probes of one program and champion that show no change."""
     like = (champion, program)
     return [one for one in probes if (one.champion, one.program) == like and not one.changed]
 
 
 def identity(source: Path) -> tuple[str, str, str]:
-    """Return identity, time and program of a run; of a recording its digest and two empty texts.
+    """Return identity, time and program of a run; for a recording, its digest and two empty texts.
 
     Raises:
-        DataError: There is no such source.
+        DataError: The run or recording does not exist.
     """
     if (source / "start.json").is_file():
         start = read_json(source / "start.json")
@@ -202,39 +208,48 @@ def identity(source: Path) -> tuple[str, str, str]:
 
 
 REFERENCE = 5
-"""Number of probes after a promotion that later ones are compared with; they are judged too."""
+"""Number of probes after a promotion that form the reference; the charts assess these probes,
+too.
+"""
 
 FORGET = 0.3
-"""Weight of the newest probe in the weighted mean."""
+"""Weight of the newest probe in the exponentially weighted mean."""
 
 PRIORS = {"friction": (0.2, 0.01), "gain": (0.1, 0.005), "offset": (5.0, 0.2), "load": (0.2, 0.01)}
-"""Standard deviations of a and of b [1/K]: shares of friction and effort; offsets in standard
-deviations of the champion's residual; a load in kg, and in kg·m a tenth of that. Real friction
-changes by 0.2 to 1 % per kelvin, and models follow most of it."""
+"""Prior standard deviations of the coefficients a (unit of the feature) and b [unit per kelvin].
+The units of the features are shares for friction and gain, standard deviations of the champion's
+residual for offsets, kg for the mass of a load, and a tenth of that in kg·m for its first moments.
+Real friction changes by 0.2 to 1 % per kelvin, and models follow most of this change.
+"""
 
 NOISE_DOF = 4.0
-"""Degrees of freedom of the noise's prior, which comes from the blocks of the probes."""
+"""Degrees of freedom of the prior of the noise, which is estimated from the blocks of the
+probes.
+"""
 
 LEAST_NOISE = 1e-6
-"""Smallest noise, as a share of the prior of a: a simulation without noise has none."""
+"""Minimum standard deviation of the noise, as a share of the prior of a; needed for simulations
+without noise.
+"""
 
 LEVER_M = 0.1
-"""Prior of a load's first moment per mass [m]."""
+"""Prior ratio of the first moment of a load to its mass [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chart:
-    """The charts of all K features, at the newest probe.
+    """Values of the charts of all K features at the newest probe.
 
     Attributes:
         deviation: (K,) difference of the newest probe from the prediction at its temperature.
-        std: (K,) standard deviation of `deviation` without a change.
-        p: (K,) probability of a deviation as large, without a change.
-        p_mean: (K,) the same of `mean`; equal to `p` while no other probe is in it.
+        std: (K,) standard deviation of `deviation` for an unchanged robot.
+        p: (K,) p-value of the test of `deviation` for an unchanged robot.
+        p_mean: (K,) p-value of the test of `mean`; equal to `p` as long as the mean contains only
+            one probe.
         mean: (K,) weighted mean of the deviations since the reference.
-        limit: (K,) deviation above which a single probe is called changed.
-        alarm: (K,) whether the feature is called changed.
-        reference: Number of probes in the reference.
+        limit: (K,) deviation above which a single probe counts as changed.
+        alarm: (K,) whether a change of the feature is detected.
+        reference: Number of probes that form the reference.
     """
 
     deviation: FloatArray
@@ -250,20 +265,21 @@ class Chart:
 def chart_of(
     probes: Sequence[Features], sigma: FloatArray, false_alarm: float = FALSE_ALARM
 ) -> Chart:
-    """Return the charts of probes that were taken one after the other under one champion.
+    """Return the charts of consecutive probes of one program under one champion.
 
     Args:
-        probes: Oldest first; only the last may have been called changed.
+        probes: Features of the probes, oldest first; a change must not have been detected in any
+            probe except the last.
         sigma: (n,) standard deviation of the champion's residual, in effort units.
-        false_alarm: Rate of false alarms of one probe, all features together, at most.
+        false_alarm: Maximum false-alarm rate of one probe, for all features together.
 
     Raises:
-        DataError: They are of different robots, or there is none.
+        DataError: The probes belong to different robots, or there is no probe.
     """
     if not probes or any(one.names != probes[0].names for one in probes):
         raise DataError(
-            "probes of different robots cannot be charted together",
-            hint="keep the history of each robot by itself",
+            "probes of different robots cannot be in one chart",
+            hint="keep a separate history for each robot",
         )
     probes = _distinct(probes)
     count = min(REFERENCE, len(probes) - 1)
@@ -285,7 +301,7 @@ def chart_of(
 
 
 def _distinct(probes: Sequence[Features]) -> Sequence[Features]:
-    """Return the probes without copies of a measurement, which are equal to the last bit."""
+    """Return the probes without those that are bit-identical copies of another probe."""
     *before, newest = probes
     distinct: dict[bytes, Features] = {}
     for probe in before:
@@ -295,10 +311,11 @@ def _distinct(probes: Sequence[Features]) -> Sequence[Features]:
 
 
 def _noise(probes: Sequence[Features]) -> FloatArray:
-    """Return the (K,) standard deviation of one probe, from the scatter of its blocks.
+    """Return the noise standard deviation (K,) of one probe, from the scatter of its blocks.
 
-    A model's error along a motion is the same in every probe that drives it. What the blocks at the
-    same place have in common is therefore no noise, nor is what the blocks of a probe have.
+    The error of a model along a motion is the same in every probe of that motion. The common part
+    of blocks at the same place of the motion is therefore not noise. The common part of all blocks
+    of one probe is not noise either.
     """
     shapes = {one.blocks.shape for one in probes}
     if len(probes) < 2 or len(shapes) > 1:
@@ -314,15 +331,19 @@ def _noise(probes: Sequence[Features]) -> FloatArray:
 def _feature(
     values: FloatArray, warm: FloatArray, prior: FloatArray, noise: float, count: int
 ) -> tuple[float, ...]:
-    """Return deviation, its std, degrees of freedom, weighted mean and its std, of one feature.
+    """Return deviation, its std, degrees of freedom, weighted mean and its std for one feature.
 
-    Values and temperatures (P,) are of all probes, the newest last; the first `count` are the
-    reference.
+    Args:
+        values: (P,) values of the feature in all probes, the newest last.
+        warm: (P,) temperatures of the probes relative to their mean [K].
+        prior: (2,) prior standard deviations of the coefficients a and b.
+        noise: Noise standard deviation of one probe.
+        count: Number of probes in the reference; the reference consists of the first probes.
     """
     X = np.column_stack([np.ones_like(warm), warm])
     known, y = X[:count], values[:count]
     noise = max(noise, LEAST_NOISE * float(prior[0]))
-    # In units of the noise: normal-inverse-gamma, the conjugate prior of a regression.
+    # Conjugate prior of a regression (normal-inverse-gamma), in units of the noise.
     precision = np.diag((noise / prior) ** 2)
     spread = np.linalg.inv(precision + known.T @ known)
     centre = spread @ (known.T @ y)
@@ -341,11 +362,11 @@ def _feature(
 
 
 def _prior(name: str, sigma: FloatArray) -> FloatArray:
-    """Return the standard deviations of a and b, in the feature's unit."""
+    """Return the prior standard deviations of a and b (`PRIORS`), in the unit of the feature."""
     what = name.rsplit(" ", 1)[1]
     if name.startswith("load "):
         return np.array(PRIORS["load"]) * (1.0 if what == "mass" else LEVER_M)
-    # One scale for all joints: an offset does not depend on how much current a joint needs.
+    # All joints share one scale, because offsets do not depend on the current of a joint.
     return np.array(PRIORS[what]) * (float(np.median(sigma)) if what == "offset" else 1.0)
 
 
@@ -355,22 +376,26 @@ def _p(value: FloatArray, std: FloatArray, dof: FloatArray) -> FloatArray:
 
 
 LEAST_KG = 0.05
-"""Smallest change of a load's mass whose place is told: below this it would be noise."""
+"""Minimum change of a load's mass for which a position of the mass is reported [kg]; below this
+change the position would be noise.
+"""
 
 MOST = 4
-"""Causes named at most: a robot with more changes is another robot."""
+"""Maximum number of causes that are named; a robot with more changes does not match its model at
+all.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Something that has changed.
+    """Detected change of a feature, as a cause of deviations.
 
     Attributes:
-        name: Feature; `load` for all of the load.
-        change: Change of the feature, in its unit; of the load the change of its mass.
-        std: Standard deviation of `change`.
-        unit: `1` for a share.
-        text: The change in words.
+        name: Name of the changed feature; `load` for all features of the load.
+        change: Change of the feature, in its unit; for a load, the change of its mass [kg].
+        std: Standard deviation of the value `change`.
+        unit: Unit of the value `change`; `1` for a share.
+        text: Description of the change in words.
     """
 
     name: str
@@ -380,7 +405,7 @@ class Cause:
     text: str
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form."""
+        """Return the cause as a JSON object."""
         return {
             "name": self.name, "change": self.change, "std": self.std, "unit": self.unit,
             "text": self.text,
@@ -388,26 +413,27 @@ class Cause:
 
 
 def causes(probe: Features, chart: Chart, false_alarm: float, effort_unit: str) -> list[Cause]:
-    """Return what has changed: the cause that explains most first, then what is left without it.
+    """Return the causes of a change: first the cause that explains most, then the further causes.
 
     Args:
-        probe: The newest probe.
-        chart: Its charts; without an alarm there are no causes.
-        false_alarm: Rate of false alarms of the charts.
-        effort_unit: Unit of offsets.
+        probe: Features of the newest probe.
+        chart: Charts at the newest probe; without an alarm in the charts, the list of causes is
+            empty.
+        false_alarm: False-alarm rate with which the charts were computed.
+        effort_unit: Unit of the joint effort and therefore of offsets.
     """
     if not chart.alarm.any():
         return []
-    # A jump is as large as the newest deviation; a slow change shows in the mean.
+    # The newest deviation estimates a jump, whereas the mean estimates a slow change.
     jumped = bool(np.any(np.abs(chart.deviation) > chart.limit))
     left, p = (chart.deviation, chart.p) if jumped else (chart.mean, chart.p_mean)
-    # The normal deviation of the same probability: features of different noise are compared by it.
+    # The normal quantile of p makes features of different noise comparable.
     size = -normal_quantile(np.maximum(p, 1e-300) / 2)
     scale = np.abs(left) / np.maximum(size, np.finfo(np.float64).tiny)
-    # What a cause does to other features is known as well as the model fits along the motion.
+    # The effect of a cause on other features is uncertain by the error of the model.
     scale = np.maximum(scale, probe.std)
     limit = float(-normal_quantile(false_alarm / len(left) / 4))
-    # A feature of a joint is a cause by itself, all features of the load are one.
+    # Each joint feature is a separate cause; all load features together are one cause.
     load = [k for k, name in enumerate(probe.names) if name.startswith("load ")]
     groups = [*([k] for k in range(len(left)) if k not in load), load]
     named: list[Cause] = []
@@ -419,7 +445,7 @@ def causes(probe: Features, chart: Chart, false_alarm: float, effort_unit: str) 
             break
 
         def rest(group: list[int], left: FloatArray = left) -> float:
-            """Return what is left if this group alone has changed by what it shows."""
+            """Return the remaining deviation if only this group has changed, as estimated."""
             return float(np.sum(((left - probe.response[:, group] @ left[group]) / scale) ** 2))
 
         group = min((one for one in groups if over[one].any()), key=rest)
@@ -440,7 +466,7 @@ def _cause(
     if what == "offset":
         text = f"offset on {where}: {change:+.3g} ± {error:.2g} {effort_unit}"
         return Cause(probe.names[k], change, error, effort_unit, text)
-    # Effort is torque divided by gain: more effort for the same torque is less gain.
+    # Effort is torque divided by gain: more effort for the same torque means a smaller gain.
     sense = ("up" if change > 0 else "down") if what == "friction" else "off"
     word = "friction" if what == "friction" else "effort for the same torque"
     text = f"{word} {sense} on {where}: {100 * change:+.1f} ± {100 * error:.1f} %"
@@ -448,24 +474,24 @@ def _cause(
 
 
 def _place(load: FloatArray) -> str:
-    """Return where mass was added or removed; empty if it hardly changed."""
+    """Return the position of the added or removed mass as text; empty for a small change."""
     if abs(load[0]) < LEAST_KG:
         return ""
     return " at ({:.0f}, {:.0f}, {:.0f}) mm".format(*(1000.0 * load[1:] / load[0]))
 
 
 def causes_text(named: Sequence[Cause]) -> str:
-    """Return the causes in one line."""
+    """Return the causes of a change in one line."""
     return "; ".join(cause.text for cause in named) or "nothing has changed"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChartedProbe:
-    """A probe, and its charts.
+    """Probe, with the charts that led to its result.
 
     Attributes:
-        probe: As it was judged.
-        chart: Of it and of the probes of its program before it under the same champion.
+        probe: Result of the probe.
+        chart: Charts of the probe and of the earlier probes of the same program and champion.
     """
 
     probe: Probe
@@ -473,24 +499,26 @@ class ChartedProbe:
 
     @property
     def expected(self) -> FloatArray:
-        """(K,) features of an unchanged robot at this probe's temperature."""
+        """Features (K,) that an unchanged robot would have at the temperature of this probe."""
         return self.probe.features.values - self.chart.deviation
 
     @property
     def chance(self) -> float:
-        """Bound of the probability that any feature of an unchanged robot deviates as much.
+        """Upper bound of the probability that an unchanged robot deviates as much in any feature.
 
-        Below the probe's false alarm rate the probe is called changed.
+        A change is detected if the upper bound of the probability is below the false-alarm rate of
+        the probe.
         """
         return min(1.0, 2.0 * len(self.probe.features.names) * self.probe.p)
 
 
 def charted_probes(registry: Registry, name: str) -> list[ChartedProbe]:
-    """Return all probes of a name with their charts, in the order in which they were judged.
+    """Return all probes of a name with their charts, in the order of their assessment.
 
     Raises:
-        RegistryError: There is no such name, or its history or one of the champions is damaged.
-        DataError: A champion cannot be read.
+        RegistryError: The name does not exist, its history is damaged, or one of the champions is
+            damaged.
+        DataError: The files of a champion cannot be read.
     """
     probes = probes_of(registry, name)
     sigma = {
@@ -509,20 +537,20 @@ def charted_probes(registry: Registry, name: str) -> list[ChartedProbe]:
 def friction_change(
     model: RobotEstimator, data: Dataset, before: FloatArray, after: FloatArray
 ) -> FloatArray:
-    """Return the change of each joint's friction over the same motion at another temperature.
+    """Return the relative change of each joint's friction over a motion after a temperature change.
 
     Args:
-        model: Has a friction part.
-        data: The motion.
-        before: (n,) joint temperatures [°C].
-        after: (n,) the same later.
+        model: Model with a friction component.
+        data: Motion for which friction is predicted at the two temperatures.
+        before: (n,) joint temperatures before the change of temperature [°C].
+        after: (n,) joint temperatures after the change of temperature [°C].
 
     Returns:
-        (n,) change of the friction's RMS as a share of what it was; 0 for a model that knows
-        nothing of temperature.
+        (n,) change of the RMS of the friction, as a share of its RMS before; 0 for a model that
+        does not depend on temperature.
 
     Raises:
-        DataError: The model does not say which part of its prediction is friction.
+        DataError: The model has no friction component.
     """
 
     def friction_rms(celsius: FloatArray) -> FloatArray:
@@ -530,8 +558,9 @@ def friction_change(
         prediction = model.predict(at)
         if "friction" not in prediction.components:
             raise DataError(
-                f"{model.estimator} does not say which part of its prediction is friction",
-                hint="take a model whose estimator tells friction apart, such as rigid-hysteresis",
+                f"{model.estimator} does not predict friction separately",
+                hint="use a model of an estimator with a friction component, such as "
+                "rigid-hysteresis",
             )
         friction = prediction.components["friction"][np.all(prediction.valid, axis=1)]
         return np.asarray(np.sqrt(np.mean(friction**2, axis=0)))

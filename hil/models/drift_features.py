@@ -1,13 +1,15 @@
-"""The features of a probe: the champion's residual in terms of what can change in an arm.
+"""Features of a probe: the residual of the champion, expressed by possible changes of an arm.
 
     measured − predicted = Δfriction · friction + Δgain · effort + offset + load
 
-Features of a joint are by how much its friction, drive gain and offset differ from the model's;
-those of the arm are the load at the flange beyond the declared one. Each is estimated as if it were
-the only one (but for offsets): estimated together they would hardly be distinguishable in a wrist,
-whose effort is mostly friction. What one cause does to the estimates of the others follows from the
-motion (`response`), by which `hil.models.drift.causes` tells them apart. Standard deviations come
-from leaving out one block of time after the other (jackknife), as neighbouring residuals are alike.
+Each joint has three features: the differences of its friction, drive gain and offset from the
+model. The arm as a whole has the features of the load at the flange in addition to the declared
+load. Each feature is estimated as if it were the only change of the arm (together with offsets
+only). A simultaneous estimate of all features would hardly distinguish the features of a wrist,
+whose effort is mostly friction. The motion determines how one change affects the estimates of the
+other features (`response`). With `response`, `hil.models.drift.causes` separates the causes.
+Standard deviations of features come from the jackknife over blocks of time, because neighbouring
+residuals are correlated.
 """
 
 from __future__ import annotations
@@ -33,18 +35,20 @@ FEWEST_DRIFT_BLOCKS = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Features:
-    """The features of one probe.
+    """Features of one probe.
 
     Attributes:
-        names: Such as `elbow_joint friction`, `load mass`; joints first.
-        values: (K,) changes: friction and gain as shares of what they were (0.15 is 15 % more),
-            offset in effort units, the load in kg and kg·m.
-        std: (K,) standard deviations of the values, from the noise of this probe.
-        temperature: (K,) mean of the joint's [°C], of all joints for the load; NaN if not measured.
-        rms: (n,) of the residual, in effort units.
-        samples: Number of rows used.
-        response: (K, K) estimate of each feature if another alone changed by 1.
-        blocks: (B, K) values of each block of time (the jackknife's pseudo-values).
+        names: Names of the features, such as `elbow_joint friction` and `load mass`; joints first.
+        values: (K,) values of the features: friction and gain as shares of their previous values
+            (0.15 is 15 % more), offset in effort units, load in kg and kg·m.
+        std: (K,) standard deviations of `values` due to the noise of this probe.
+        temperature: (K,) mean temperature of the joint of each feature [°C], averaged over all
+            joints for the load; NaN if not measured.
+        rms: (n,) RMS of the residual, in effort units.
+        samples: Number of samples used in the estimate.
+        response: (K, K) estimates of all features that result from a change of a single feature by
+            1.
+        blocks: (B, K) feature values of each block of time (pseudo-values of the jackknife).
     """
 
     names: tuple[str, ...]
@@ -57,7 +61,7 @@ class Features:
     blocks: FloatArray
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form; NaN becomes null when it is written."""
+        """Return the features as a JSON object; NaN is written as null."""
         return {
             "names": list(self.names),
             "values": self.values.tolist(),
@@ -71,10 +75,10 @@ class Features:
 
     @staticmethod
     def from_dict(document: dict[str, Any]) -> Features:
-        """Return what `to_dict` has written.
+        """Return the features described by a JSON object that `to_dict` wrote.
 
         Raises:
-            KeyError, TypeError, ValueError: Something is missing or garbled.
+            KeyError, TypeError, ValueError: A value of the JSON object is missing or invalid.
         """
         arrays = {
             key: np.array([np.nan if v is None else v for v in document[key]], dtype=np.float64)
@@ -96,26 +100,27 @@ class Features:
 
 
 def feature_names(joint_names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of features, in the order of every array of `Features`."""
+    """Return the names of the features, in the order of the arrays of `Features`."""
     joints = (f"{joint} {what}" for joint in joint_names for what in JOINT_FEATURES)
     return (*joints, *(f"load {what}" for what in LOAD_FEATURES))
 
 
 def features_of(model: RobotEstimator, data: Dataset) -> Features:
-    """Return the features of a probe's trajectories under a model.
+    """Return the features of a probe, computed from its trajectories under a model.
 
     Args:
-        model: The champion, whose prediction has a friction part.
-        data: Whole series, each of some seconds, moving all joints.
+        model: Champion; its prediction must have a friction component.
+        data: Dataset of whole series of some seconds each, in which all joints move.
 
     Raises:
-        DataError: They are of another robot, too short, or the model has no friction part.
+        DataError: The data belong to a different robot or are too short, or the model has no
+            friction component.
     """
     prediction = model.predict(data)
     if "friction" not in prediction.components:
         raise DataError(
-            f"{model.estimator} does not say which part of its prediction is friction",
-            hint="watch a robot with rigid-hysteresis, rigid-wls or another rigid model",
+            f"{model.estimator} does not predict friction separately",
+            hint="use a champion of rigid-hysteresis, rigid-wls or another rigid estimator",
         )
     residual = filtered_effort(data) - prediction.effort
     valid = prediction.valid & np.isfinite(residual)
@@ -126,9 +131,10 @@ def features_of(model: RobotEstimator, data: Dataset) -> Features:
     sums = [(_gram(X[rows]), _moment(X[rows], y[rows])) for rows in _blocks(data)]
     if len(sums) < FEWEST_DRIFT_BLOCKS:
         raise DataError(
-            f"a probe of {len(sums)} blocks of {DRIFT_BLOCK_S:.0f} s says too little",
-            hint="probe with trajectories of at least "
-            f"{FEWEST_DRIFT_BLOCKS * DRIFT_BLOCK_S:.0f} s together",
+            f"a probe of {len(sums)} blocks of {DRIFT_BLOCK_S:.0f} s is too short to detect a "
+            f"change, {FEWEST_DRIFT_BLOCKS} blocks are required",
+            hint="use trajectories of at least "
+            f"{FEWEST_DRIFT_BLOCKS * DRIFT_BLOCK_S:.0f} s in total",
         )
     n = len(model.joint_names_)
     values, std, response, blocks = _estimated(sums, n)
@@ -141,7 +147,7 @@ def features_of(model: RobotEstimator, data: Dataset) -> Features:
 def _columns(
     model: RobotEstimator, data: Dataset, effort: FloatArray, friction: FloatArray
 ) -> FloatArray:
-    """Return the (N, n, K) derivative of the residual by every feature."""
+    """Return the derivatives (N, n, K) of the residual with respect to every feature."""
     samples, n = effort.shape
     X = np.zeros((samples, n, len(JOINT_FEATURES) * n + len(LOAD_FEATURES)))
     for j in range(n):
@@ -155,7 +161,7 @@ def _columns(
 
 
 def _smoothed(data: Dataset, name: str) -> FloatArray:
-    """Return the filtered motion, else the measured one, else zeros (accelerations only)."""
+    """Return the filtered column `name` of the data, or else the measured column, or else zeros."""
     for column in (f"{name}_f", name):
         if column in data.columns:
             return np.asarray(data[column])
@@ -172,7 +178,7 @@ def _moment(X: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _blocks(data: Dataset) -> Iterator[slice]:
-    """Yield the rows of blocks of about `DRIFT_BLOCK_S`, none over the end of a series."""
+    """Yield the row numbers of blocks of about `DRIFT_BLOCK_S`, each within one series."""
     for _, rows in data.slices():
         if rows.stop - rows.start < 2:
             continue
@@ -185,7 +191,7 @@ def _blocks(data: Dataset) -> Iterator[slice]:
 def _estimated(
     sums: Sequence[tuple[FloatArray, FloatArray]], n: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return values, standard deviations by the jackknife, response and values per block."""
+    """Return values, jackknife standard deviations, response and values per block of features."""
     gram, moment = (np.sum([one[k] for one in sums], axis=0) for k in (0, 1))
     values, response = _alone(gram, moment, n), _alone(gram, gram, n)
     count = len(sums)
@@ -195,7 +201,7 @@ def _estimated(
 
 
 def _alone(gram: FloatArray, moment: FloatArray, n: int) -> FloatArray:
-    """Return (K, …) each feature as if it were the only one, offsets apart; moment is (K, …)."""
+    """Return each feature (K, …), estimated as if it were the only change apart from offsets."""
     per = len(JOINT_FEATURES)
     out = np.zeros_like(moment)
     for j in range(n):
@@ -209,7 +215,7 @@ def _alone(gram: FloatArray, moment: FloatArray, n: int) -> FloatArray:
 
 
 def _solve(gram: FloatArray, moment: FloatArray, columns: Sequence[int]) -> FloatArray:
-    """Solve the normal equations of some columns, scaled to a diagonal of ones."""
+    """Solve the normal equations of selected columns, scaled to a unit diagonal."""
     part = gram[np.ix_(columns, columns)]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(part), np.finfo(np.float64).tiny))
     right = (moment[columns].T * scale).T

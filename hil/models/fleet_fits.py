@@ -1,10 +1,10 @@
-"""Models of the robots of a fleet: one fit per run, stored and registered under the robots' names.
+"""Models of the robots of a fleet: one fit per run, stored and registered by robot name.
 
-Fits are computed by processes of this computer or by a Dask cluster, equal to the bit wherever they
-are computed (`fit_runs`). A worker that sees the run directory reads it itself; to one that does
-not, the samples are sent (`RunToSend`). If one robot's fit fails or its process dies, its
-`FitResult` says why, and the others are fitted. `store_fits` stores the models, `register_fit`
-registers one.
+Fits run in processes of this computer or on a Dask cluster; the two give bit-identical results
+(`fit_runs`). A worker that has access to the run directory reads the run there; other workers
+receive the samples (`RunToSend`). If the fit of one robot fails or its process dies, the
+`FitResult` of this robot contains the reason, and the other robots are still fitted. `store_fits`
+stores the models, and `register_fit` registers one model.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ from hil.spec import Accept, load_spec
 
 @dataclass(frozen=True, slots=True)
 class FitSettings:
-    """What is fitted to each run.
+    """Estimator and parameters that are used for the fit of each run.
 
     Attributes:
-        estimator: Name in `hil.estimators`.
+        estimator: Name of the estimator in `hil.estimators`.
         parameters: Parameters of the estimator.
     """
 
@@ -61,7 +61,7 @@ class FitSettings:
 
 
 Progress = Callable[[int], object]
-"""Called with the number of tasks that are done."""
+"""Callback that receives the number of finished tasks."""
 
 
 def fit_runs(
@@ -72,17 +72,17 @@ def fit_runs(
     dask: str | None = None,
     on_progress: Progress = lambda done: None,
 ) -> list[FitResult]:
-    """Fit every run by itself; return the results in the order of the runs.
+    """Fit a model to each run separately; return the results in the order of the runs.
 
     Args:
         runs: Run directories.
-        settings: What to fit.
-        workers: Number of processes of this computer.
-        dask: Address of a Dask scheduler; its workers are used instead of local processes.
-        on_progress: Called with the number of fits that are done.
+        settings: Estimator that is fitted, with its parameters.
+        workers: Number of processes of this computer that fit models.
+        dask: Address of a Dask scheduler whose workers are used instead of local processes.
+        on_progress: Callback that receives the number of finished fits.
 
     Raises:
-        FitError: Workers of the cluster died again and again, or none is left.
+        FitError: Workers of the cluster died repeatedly, or no worker is left.
         PluginError: Dask is not installed.
     """
     paths = [run.resolve() for run in runs]
@@ -100,7 +100,7 @@ def fit_runs(
             return spread_over_processes(tasks, workers, count, lambda i: FitResult(error=DIED))
 
         results = computed(tasks, 0)
-        # None: the worker does not see that run, so it gets the samples.
+        # None: the worker has no access to that run and must receive the samples.
         unseen = [i for i, result in enumerate(results) if result is None]
         sent = computed([RunToSend(paths[i], settings) for i in unseen], len(runs) - len(unseen))
         for i, result in zip(unseen, sent, strict=True):
@@ -114,22 +114,22 @@ DIED = f"its process died {TRIES} times, the last time alone: probably out of me
 def _task(run: Path, settings: FitSettings) -> Callable[[], FitResult | None]:
     try:
         return partial(fit_at, run, identity(run)[0], settings)
-    except DataError as error:  # the run was deleted meanwhile: the others are still there
+    except DataError as error:  # the run was deleted: continue with the others
         return partial(FitResult, error=error.message)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitResult:
-    """The result of one fit.
+    """Result of one fit of a run.
 
     Attributes:
         folder: Name of the model's folder, `<estimator>-<digest>`.
-        files: Its content, by name; empty if there is no model.
-        rmse: (n,) raw RMSE on what was held out.
-        passed: Whether the model meets all criteria for models in the run's spec; None if there are
-            none, if they do not apply to such a model, or if some are about loads, which only a run
-            judges.
-        error: Why there is no model.
+        files: Content of the model's files by file name; empty if there is no model.
+        rmse: (n,) raw RMSE of the model on the hold-out set.
+        passed: Flag; true if the model meets all model criteria in the run's spec. `passed` is None
+            if there are no criteria, if the criteria do not apply to such a model, or if some
+            criteria concern loads, which only a run can check.
+        error: Reason why there is no model; empty if there is a model.
     """
 
     folder: str = ""
@@ -141,12 +141,12 @@ class FitResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunSplit:
-    """What a fit needs of a run.
+    """Data and criteria of a run, as used in a fit.
 
     Attributes:
-        parts: To fit to and to judge on, as the run's spec says.
-        serial: Serial number of the robot.
-        accept: Criteria of the run's spec.
+        parts: Training data and hold-out set, divided as defined in the run's spec.
+        serial: Serial number of the robot of the run.
+        accept: Acceptance criteria in the run's spec.
     """
 
     parts: Parts
@@ -155,12 +155,12 @@ class RunSplit:
 
 
 def split_of(run: Path, settings: FitSettings) -> RunSplit:
-    """Return the part of a run to fit to and the part that is held out.
+    """Return the training data and the hold-out set of a run.
 
     Raises:
-        DataError: The run cannot be read, or nothing can be held out.
-        FitError: It has nothing the estimator works on.
-        SpecError: Its spec cannot be read.
+        DataError: The run cannot be read, or no hold-out set is possible.
+        FitError: The run contains no data that are usable for the estimator.
+        SpecError: The spec of the run cannot be read.
     """
     data = usable_part(load_source(run), make_estimator(settings.estimator, **settings.parameters))
     spec = load_spec(run / "spec.yaml", look_up=False)
@@ -168,11 +168,11 @@ def split_of(run: Path, settings: FitSettings) -> RunSplit:
 
 
 def fit_split(split: RunSplit, settings: FitSettings) -> FitResult:
-    """Fit and judge; return the result with the model's files.
+    """Fit a model, check it on the hold-out set, and return the result with the model's files.
 
     Raises:
-        FitError: The data do not allow it.
-        PluginError, SpecError: No such estimator, parameter or robot.
+        FitError: The data of the run are not sufficient for the fit.
+        PluginError, SpecError: The estimator, one of its parameters, or the robot does not exist.
     """
     train = split.parts.train
     robot = load_model(train.robot, gravity=train.gravity)
@@ -198,12 +198,13 @@ def fit_split(split: RunSplit, settings: FitSettings) -> FitResult:
 
 
 def fit_at(run: Path, uid: str, settings: FitSettings) -> FitResult | None:
-    """Fit a run by its path; return None if that run is not there, as on another computer.
+    """Return the fit of the run at a path, or None if the expected run is not at this path.
 
     Args:
-        run: Its directory.
-        uid: Its identity: on another computer another run may have this path.
-        settings: What to fit.
+        run: Run directory.
+        uid: Identity of the expected run. On a different computer, the path may contain a run with
+            a different identity.
+        settings: Estimator that is fitted, with its parameters.
     """
     try:
         seen = identity(run)[0] == uid
@@ -217,27 +218,27 @@ def _fit_or_error(fit: Callable[[], FitResult]) -> FitResult:
         return fit()
     except HilError as error:
         return FitResult(error=error.message)
-    # Estimators are plug-ins: one that breaks down must not cost the other robots.
+    # Estimators are plug-ins: any exception must affect only the robot of this model.
     except Exception as error:
-        return FitResult(error=f"it broke down: {type(error).__name__}: {error}")
+        return FitResult(error=f"the fit failed: {type(error).__name__}: {error}")
 
 
 @dataclass(frozen=True, slots=True)
 class RunToSend:
-    """Fit task for a worker without access to the run directory.
+    """Fit task for a worker process without access to the run directory.
 
-    The samples are read when it is pickled.
+    The samples of the run are read when the task is pickled.
 
     Attributes:
-        run: Its directory, here.
-        settings: What to fit.
+        run: Run directory on this computer.
+        settings: Estimator that is fitted, with its parameters.
     """
 
     run: Path
     settings: FitSettings
 
     def __call__(self) -> FitResult:
-        """Fit the run in this process."""
+        """Fit the run in this process and return the result."""
         return _fit_or_error(lambda: fit_split(split_of(self.run, self.settings), self.settings))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -253,17 +254,18 @@ def _fit_sent(split: RunSplit, settings: FitSettings) -> FitResult:
 
 @dataclass(frozen=True, slots=True)
 class RobotFit:
-    """The fit of one robot.
+    """Fit of the model of one robot of a fleet.
 
     Attributes:
-        robot: Its name.
-        run: Run that was fitted to.
-        result: Of the fit.
-        model: Folder of the model; None without one.
-        registered: Version in the registry, such as `v3`; empty if it was not registered.
-        role: `champion` or `challenger`; empty if it is neither.
-        verdict: On the run: `passed`, `rejected` or `not judged`.
-        refused: Why it was not registered; empty if it was, or was not to be.
+        robot: Name of the robot.
+        run: Run with the training data.
+        result: Result of the robot's fit.
+        model: Folder of the stored model; None if there is no model.
+        registered: Version of the model in the registry, such as `v3`; empty if the model was not
+            registered.
+        role: Role of the version in the registry, `champion` or `challenger`; empty for neither.
+        verdict: Verdict on the run: `passed`, `rejected` or `not judged`.
+        refused: Reason why the registration was refused; empty if it was not refused.
     """
 
     robot: str
@@ -277,11 +279,11 @@ class RobotFit:
 
     @property
     def error(self) -> str:
-        """Why there is no model, or why it was not registered; else empty."""
+        """Reason why there is no model or why its registration was refused; empty for a success."""
         return self.result.error or self.refused
 
     def to_dict(self) -> dict[str, Any]:
-        """Return an entry of `hil fleet fit --json`."""
+        """Return the entry of this robot in `hil fleet fit --json`."""
         return {
             "robot": self.robot,
             "run": str(self.run),
@@ -296,7 +298,7 @@ class RobotFit:
 
 
 def robot_of(run: Path) -> str:
-    """Return the name of a run's robot in its station; of a deleted run that of its folder."""
+    """Return the name of a run's robot in its station; for a deleted run, from its folder."""
     try:
         return str(read_json(run / "start.json")["robot_name"])
     except (DataError, KeyError):
@@ -304,13 +306,14 @@ def robot_of(run: Path) -> str:
 
 
 def store_fits(runs: Sequence[Path], results: Sequence[FitResult], out: Path) -> list[RobotFit]:
-    """Store models as `out/ROBOT/<estimator>-<digest>`.
+    """Store the models of a fleet as `out/ROBOT/<estimator>-<digest>`.
 
-    Equal files are not written again, but `model.json` gets the present time in any case: the model
-    stored last counts as the robot's (`survey_fleet`).
+    Identical files are not written again, except `model.json`, which always gets the current time.
+    The time in `model.json` is needed because the model that was stored last counts as the robot's
+    model (`survey_fleet`).
 
     Raises:
-        OSError: They cannot be written.
+        OSError: The models cannot be written.
     """
     fits = []
     for run, result in zip(runs, results, strict=True):
@@ -323,18 +326,19 @@ def store_fits(runs: Sequence[Path], results: Sequence[FitResult], out: Path) ->
         for name, content in result.files.items():
             if not (folder / name).exists() or (folder / name).read_bytes() != content:
                 write_whole(folder / name, content)
-        with contextlib.suppress(OSError):  # a model of somebody else: it is as good as it was
+        with contextlib.suppress(OSError):  # the file may belong to a different user
             os.utime(folder / "model.json")
         fits.append(RobotFit(robot, run, result, folder, verdict=verdict))
     return fits
 
 
 def register_fit(fit: RobotFit, registry: Registry) -> RobotFit:
-    """Register a model under its robot's name, as challenger; a first good one becomes champion.
+    """Register a model under the name of its robot, usually as challenger.
 
-    A good model meets its run's criteria. One that misses them, or is of a run that was rejected,
-    becomes neither; one that was not judged becomes challenger at most. A model of another
-    individual than the name's is refused.
+    A model becomes champion if it meets the criteria of its run and there is no champion yet. A
+    model gets no role if it misses the criteria or belongs to a rejected run. A model that was not
+    judged against criteria becomes challenger at most. The registration is refused if the models of
+    that name belong to a robot with a different serial number.
 
     Raises:
         RegistryError: The registry cannot be written.
@@ -358,7 +362,7 @@ def register_fit(fit: RobotFit, registry: Registry) -> RobotFit:
 
 
 def _serial_conflict(name: str, serial: str, registry: Registry) -> str:
-    """Return why a model is not of the robot of a name; empty if it is, or if that is unknown."""
+    """Return a message if a model and the models of a name have different robots; else empty."""
     if not serial or name not in registry.names():
         return ""
     versions, champion = registry.versions(name), registry.aliases(name).champion
@@ -367,6 +371,6 @@ def _serial_conflict(name: str, serial: str, registry: Registry) -> str:
     if theirs in ("", serial):
         return ""
     return (
-        f"{known.label} of {name} in {registry.root} is of serial {theirs}, this robot is "
-        f"{serial}; give robots names that no other station has, or use another registry"
+        f"{known.label} of {name} in {registry.root} belongs to serial number {theirs}, this robot "
+        f"has {serial}; give each robot a name that no other station uses, or use another registry"
     )

@@ -1,11 +1,13 @@
-"""Outliers among equal robots, after what age and temperature explain is taken out.
+"""Detection of outliers among equal robots after removal of the effects of age and temperature.
 
-A factor on friction (wear, a gearbox that fails) is a difference of logarithms, so values are
-compared by their logarithm, joint by joint. Huber's regression takes out what age and temperature
-explain, and the median absolute deviation scales the residuals (z). The limit of |z| is simulated
-for just this fleet, with its number of robots and joints, its ages and its temperatures: in 99 of
-100 fleets of equal robots with normal noise no |z| at all is larger. With heavier tails than the
-normal distribution's, more than one fleet of a hundred has an outlier.
+A factor on friction (from wear or a failing gearbox) appears as a difference of logarithms.
+Therefore the logarithms of the values are compared, joint by joint. Huber's regression removes the
+effects of age and temperature.
+The scores z are the residuals of this regression, scaled by their median absolute deviation. The
+limit of |z| is simulated for each fleet, with the number of robots and joints, the ages and the
+temperatures of this fleet. In 99 of 100 fleets of equal robots with normal noise, the limit of |z|
+is not exceeded. If the noise has heavier tails than the normal distribution, outliers appear in
+more than one of a hundred fleets of equal robots.
 """
 
 from __future__ import annotations
@@ -21,17 +23,20 @@ from hil.core import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """The robots of a fleet compared in one quantity.
+    """Comparison of the robots of a fleet in one quantity, such as friction.
 
     Attributes:
-        names: Covariates that the quantity may depend on, such as `age`.
-        slopes: (c, n) what a unit of each covariate adds, as a share (0.02 is 2 %).
+        names: Covariates on which the quantity may depend, such as `age`.
+        slopes: (c, n) relative change of the quantity per unit of each covariate (a slope of 0.02
+            is 2 %).
         errors: (c, n) standard errors of the slopes.
-        expected: (R, n) values that the covariates explain.
-        z: (R, n) robust z; NaN where a value is missing.
-        limit: Above this |z| a robot is an outlier.
-        left_out: Covariate → robots that lack it, and so are not compared.
-        unused: Covariates that fewer than half of the robots have, and so explain nothing.
+        expected: (R, n) values of the quantity that the covariates explain.
+        z: (R, n) robust z score of each robot and joint; NaN if a value is missing.
+        limit: Limit of |z|; a robot with a larger |z| is an outlier.
+        left_out: Mapping of each covariate to the robots that lack this covariate and are therefore
+            not compared.
+        unused: Names of covariates that are not used, because fewer than half of the robots have
+            them.
     """
 
     names: tuple[str, ...]
@@ -45,26 +50,27 @@ class Comparison:
 
     @property
     def outlying(self) -> BoolArray:
-        """(R, n) whether a robot is an outlier in a joint."""
+        """Whether each robot is an outlier in each joint, (R, n)."""
         return np.asarray(np.abs(self.z) > self.limit)
 
 
 FEWEST = 8
-"""Fewest robots that are compared: with five robots the scatter estimate rests on the three most
-alike."""
+"""Minimum number of robots for a comparison: with five robots, the estimate of the scatter would
+depend on the three most similar robots.
+"""
 
 FAMILY_WISE = 0.01
-"""Probability that a fleet of equal robots has any outlier."""
+"""Probability that any robot is an outlier in a fleet of equal robots."""
 
 
 def compare_robots(values: FloatArray, covariates: Mapping[str, FloatArray]) -> Comparison | None:
-    """Return how the robots of a fleet compare; None if there are too few.
+    """Return the comparison of the robots of a fleet, or None if there are too few robots.
 
     Args:
-        values: (R, n) positive, per robot and joint; NaN where not known.
-        covariates: By name what the values may depend on, (R,) or (R, n); NaN where not known. A
-            covariate that most robots have is taken out, and the others are not compared; one that
-            is the same for all robots explains nothing.
+        values: (R, n) positive values of the quantity per robot and joint; NaN if unknown.
+        covariates: Values of the covariates by name, (R,) or (R, n); NaN if unknown. If most robots
+            have a covariate, its effect is removed, and robots without this covariate are not
+            compared. A covariate that is the same for all robots is not used.
     """
     known = np.all(np.isfinite(values) & (values > 0), axis=1)
     wide = {name: np.broadcast_to(_columns(one), values.shape) for name, one in covariates.items()}
@@ -83,8 +89,8 @@ def compare_robots(values: FloatArray, covariates: Mapping[str, FloatArray]) -> 
     n = y.shape[1]
     wide = {name: one[known] for name, one in wide.items()}
     names = tuple(name for name, one in wide.items() if _varies(one))
-    # One covariate, and one more per four further robots: as many parameters as robots would
-    # explain every value.
+    # One covariate for the smallest fleet, and one more per four further robots: a fit with as
+    # many parameters as robots would explain every value.
     names = names[: max(0, (len(y) - FEWEST) // 4 + 1)]
     by_joint = [np.array([wide[name][:, j] for name in names]) for j in range(n)]
     fits = [_fit_joint(y[:, j], by_joint[j].reshape(-1, len(y)), j) for j in range(n)]
@@ -109,7 +115,7 @@ def _varies(one: FloatArray) -> bool:
 def _fit_joint(
     y: FloatArray, covariates: FloatArray, joint: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return slopes, their errors, expected values, z, and the largest |z| per simulated fleet."""
+    """Return slopes, their errors, expected values, z scores, and the simulated largest |z|."""
     spread = np.std(covariates, axis=1)
     centred = (covariates.T - covariates.mean(axis=1)) / spread
     X = np.column_stack([np.ones(len(y)), *centred.T])
@@ -121,19 +127,21 @@ def _fit_joint(
 
 
 SIMULATED = 1500
-"""Number of simulated fleets of equal robots; each takes about a millisecond."""
+"""Number of simulated fleets of equal robots; the simulation of a fleet takes about a
+millisecond.
+"""
 
 
 @lru_cache(maxsize=64)
 def _simulated_fleets(
     content: bytes, shape: tuple[int, int], joint: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return largest |z| and spread of coefficients of fleets whose robots differ by noise alone.
+    """Return largest |z| and spread of coefficients of simulated fleets of equal robots.
 
     Args:
-        content: (R, p) columns of the regression as bytes, for the cache.
-        shape: Of the columns.
-        joint: Seeds the noise.
+        content: (R, p) columns of the regression, as bytes because they are a key of the cache.
+        shape: Shape (R, p) of the columns.
+        joint: Index of the joint, used as the seed of the noise.
     """
     X = np.frombuffer(content).reshape(shape)
     noise = np.random.default_rng([20, joint, *shape]).standard_normal((shape[0], SIMULATED))
@@ -148,7 +156,7 @@ STEPS = 15
 HUBER = 1.345
 
 MAD = 1.4826
-"""Standard deviations of a normal distribution per median absolute deviation."""
+"""Ratio of standard deviation to median absolute deviation of a normal distribution."""
 
 LEAST = 1e-12
 
@@ -157,8 +165,8 @@ def huber(X: FloatArray, Y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Fit many columns at once by Huber's regression, scaled by the median absolute deviation.
 
     Args:
-        X: (R, p) with a column of ones.
-        Y: (R, M).
+        X: (R, p) regressor that contains a column of ones.
+        Y: (R, M) observations; each column is fitted separately.
 
     Returns:
         (p, M) coefficients and (M,) scales.

@@ -1,6 +1,6 @@
-"""The runs of a fleet judged as probes, each against its robot's champion.
+"""Assessment of fleet runs as drift probes, each against the champion of its robot.
 
-Each robot is judged at such a rate of false alarms that the whole fleet has the requested rate.
+The false-alarm rate of each robot is chosen so that the whole fleet has the requested rate.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from hil.recording import FleetGroup
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotProbe:
-    """The probe of one robot of a fleet.
+    """Probe of one robot of a fleet.
 
     Attributes:
-        robot: Its name.
-        required_rate: Per-robot false-alarm rate that gives the fleet the requested rate.
-        probe: None if the robot could not be judged.
-        error: Why not, else empty.
+        robot: Name of the robot.
+        required_rate: False-alarm rate per robot with which the whole fleet has the requested rate.
+        probe: Result of the robot's probe; None if the robot could not be assessed.
+        error: Reason why the robot could not be assessed; empty if it was assessed.
     """
 
     robot: str
@@ -35,16 +35,16 @@ class RobotProbe:
 
     @property
     def note(self) -> str:
-        """A note if the probe was judged earlier, at another rate of false alarms; else empty."""
+        """Note about an earlier assessment at a different false-alarm rate; empty for none."""
         if self.probe is None:
             return ""
         rate, required = self.probe.false_alarm, self.required_rate
         if math.isclose(rate, required, rel_tol=1e-9):
             return ""
-        return f"judged before, at a rate of {rate:.2g}, not {required:.2g}"
+        return f"evaluated earlier, at a rate of {rate:.2g}, not {required:.2g}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return an entry of `hil fleet drift --json`."""
+        """Return the entry of this robot in `hil fleet drift --json`."""
         probe = {} if self.probe is None else self.probe.to_dict()
         more = {
             "asked": self.required_rate,
@@ -55,16 +55,17 @@ class RobotProbe:
 
 
 def probe_fleet(path: Path, registry: Registry, false_alarm: float) -> list[RobotProbe]:
-    """Judge the runs of a fleet as probes; one that cannot be judged does not stop the others.
+    """Assess the runs of a fleet as probes; the error of one run does not stop the others.
 
     Args:
         path: Folder of the fleet.
-        registry: Holds the champions of the robots.
-        false_alarm: Probability that at least one robot is called changed although none is; exact
-            only for independent probes that are judged in this call.
+        registry: Registry with the champions of the robots.
+        false_alarm: Probability of at least one detected change in the fleet if no robot has
+            changed. The probability of a false alarm is exact only for independent probes that are
+            assessed in this call.
 
     Raises:
-        DataError: It is no fleet.
+        DataError: The folder is not a fleet.
     """
     runs = FleetGroup.open(path).completed()
     each = 1.0 - (1.0 - false_alarm) ** (1.0 / max(1, len(runs)))

@@ -1,8 +1,9 @@
-"""The state of every robot of a fleet: drift, friction, temperature and age, and its outliers.
+"""State of every robot of a fleet: drift, friction, temperature and age, and outliers.
 
 `survey_fleet` reads the last probe, the friction of the last model and the temperature of every
-robot, and compares the robots joint by joint (`fleet_outliers`). Friction is compared only between
-models of one estimator. `fleet_probes` makes the probes.
+robot, and compares the robots joint by joint (`hil.models.fleet_outliers`). The friction of robots
+is compared only between models of the same estimator. The module `fleet_probes` creates the probes
+that a survey reads.
 """
 
 from __future__ import annotations
@@ -30,20 +31,22 @@ from hil.spec import load_station
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurveyedRobot:
-    """The state of one robot.
+    """State of one robot of a fleet.
 
     Attributes:
-        robot: Its name.
-        run: Its run for this fleet.
-        model: Folder of the model fitted to that run; None without one.
+        robot: Name of the robot.
+        run: Run of the robot that belongs to this fleet.
+        model: Folder of the model fitted to `run`; None if there is no model.
         age: Years in service on the day of the run; NaN if the station has no `in_service`.
-        joint_names: Length n.
-        friction: (n,) RMS of the friction component over the series that the estimator is fitted to
-            [N·m].
-        temperature: (n,) mean of the joints in the same part of the run [°C]; NaN if not measured.
-        probe: The last probe under its present champion; None without one.
-        problem: Why it is missing or not compared; empty if nothing is wrong.
-        estimator: Name of the model's estimator; empty without a model.
+        joint_names: Names of the n joints.
+        friction: (n,) RMS of the friction component over the series to which the estimator is
+            fitted [N·m].
+        temperature: (n,) mean joint temperature over the series to which the estimator is fitted
+            [°C]; NaN if not measured.
+        probe: Last probe of the robot under the current champion; None if there is no such probe.
+        problem: Reason why the robot has no friction value or is not compared; empty if neither
+            applies.
+        estimator: Name of the model's estimator; empty if there is no model.
     """
 
     robot: str
@@ -59,14 +62,14 @@ class SurveyedRobot:
 
     @property
     def change(self) -> FloatArray:
-        """(n,) friction now as a share of the champion's, by the last probe; NaN without one."""
+        """Friction (n,) at the last probe as a share of the champion's; NaN without a probe."""
         if self.probe is None:
             return np.full(len(self.joint_names), np.nan)
         values = dict(zip(self.probe.features.names, self.probe.features.values, strict=True))
         return np.array([1.0 + values.get(f"{name} friction", np.nan) for name in self.joint_names])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return an entry of `hil fleet report --json`."""
+        """Return the entry of this robot in `hil fleet report --json`."""
         return {
             "robot": self.robot,
             "run": str(self.run),
@@ -85,16 +88,16 @@ class SurveyedRobot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
-    """A fleet of equal arms, and its robots compared with one another.
+    """Survey of a fleet of equal arms, with a comparison of its robots.
 
     Attributes:
-        name: Of the fleet.
-        folder: Of the fleet.
-        robots: The measured ones.
-        missing: Names of the others.
-        friction: Comparison of their friction; None with too few robots.
-        change: Comparison of their friction as a share of their champions'; None with too few
-            probes.
+        name: Name of the fleet.
+        folder: Folder of the fleet.
+        robots: Measured robots.
+        missing: Names of the robots of the fleet that were not measured.
+        friction: Comparison of the robots' friction; None if there are too few robots.
+        change: Comparison of the robots' friction at the last probe, as a share of the friction of
+            their champions; None if there are too few probes.
     """
 
     name: str
@@ -106,24 +109,24 @@ class Survey:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Of the arms; empty if no robot has a model."""
+        """Names of the joints of the arms; empty if no robot has a model."""
         return next((robot.joint_names for robot in self.robots if robot.joint_names), ())
 
     @property
     def drifted(self) -> tuple[SurveyedRobot, ...]:
-        """Robots that have changed by their last probe under their present champion."""
+        """Names of robots with a detected change at the last probe under the current champion."""
         return tuple(robot for robot in self.robots if robot.probe and robot.probe.changed)
 
     @property
     def false_alarms(self) -> float:
-        """Number of robots, at most, that are expected among `drifted` if none has changed.
+        """Maximum expected number of robots in `drifted` if no robot has changed.
 
-        It is the sum of the rates at which their last probes were judged.
+        The maximum expected number is the sum of the false-alarm rates of the last probes.
         """
         return sum(robot.probe.false_alarm for robot in self.robots if robot.probe is not None)
 
     def outlying(self, which: Comparison | None) -> list[tuple[int, int]]:
-        """Return (robot, joint) of the outliers in a quantity, the farthest first."""
+        """Return the outliers in a quantity as pairs (robot, joint), the largest |z| first."""
         if which is None:
             return []
         order = np.argsort(-np.abs(np.nan_to_num(which.z)), axis=None)
@@ -131,7 +134,7 @@ class Survey:
         return [(int(i), int(j)) for i, j in places if which.outlying[i, j]]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract of `hil fleet report --json`."""
+        """Return the documented output of `hil fleet report --json`."""
         return {
             "fleet": str(self.folder),
             "name": self.name,
@@ -163,15 +166,16 @@ class Survey:
 
 
 def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
-    """Return the state of every robot of a fleet that has been measured.
+    """Return the state of every measured robot of a fleet.
 
     Args:
         path: Folder of the fleet.
-        registry: With the robots' probes; may be empty.
-        workers: Processes.
+        registry: Registry that contains the robots' probes; may be empty.
+        workers: Number of processes that read the runs.
 
     Raises:
-        DataError: It is no fleet, nothing was measured, or its robots are different arms.
+        DataError: The folder is not a fleet, no robot was measured, or the robots are arms of
+            different types.
     """
     fleet = FleetGroup.open(path)
     runs = fleet.completed()
@@ -194,7 +198,7 @@ def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
     if len({robot.joint_names for robot in robots if robot.joint_names}) > 1:
         raise DataError(
             f"the robots of {fleet.path} are different arms",
-            hint="run a fleet of each: their friction cannot be compared",
+            hint="run a fleet for each type of arm: their friction cannot be compared",
         )
     n = max(len(robot.joint_names) for robot in robots)
     covariates = {
@@ -211,16 +215,16 @@ def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
 
 
 def _model_of(fleet: FleetGroup, run: Path) -> Path | None:
-    """Return the newest model by `hil fleet fit` of this fleet, else the run's first by name."""
+    """Return the newest model by `hil fleet fit` of this fleet, or else the run's first model."""
     files = (fleet.models / robot_of(run)).glob("*/model.json")
     newest = max(files, key=lambda file: file.stat().st_mtime, default=None)
     return newest.parent if newest else next(iter(models_below(run)), None)
 
 
 def _of_one_estimator(robots: list[SurveyedRobot]) -> list[SurveyedRobot]:
-    """Drop the friction of robots whose model is not of the commonest estimator.
+    """Remove the friction of robots whose model has a different estimator than most models.
 
-    Estimators attribute different parts of the effort to friction.
+    Different estimators attribute different parts of the effort to friction.
     """
     named = Counter(robot.estimator for robot in robots if robot.estimator)
     if len(named) < 2:
@@ -230,8 +234,8 @@ def _of_one_estimator(robots: list[SurveyedRobot]) -> list[SurveyedRobot]:
         replace(
             robot,
             friction=np.full_like(robot.friction, np.nan),
-            problem=f"its friction is not compared: its model is of {robot.estimator}, "
-            f"others are of {common} (hil fleet fit FOLDER -e ESTIMATOR)",
+            problem=f"its friction is not compared: its model is from {robot.estimator}, the "
+            f"others are from {common} (hil fleet fit FOLDER -e ESTIMATOR)",
         )
         if robot.estimator not in ("", common)
         else robot
@@ -240,33 +244,31 @@ def _of_one_estimator(robots: list[SurveyedRobot]) -> list[SurveyedRobot]:
 
 
 def _with_last_probe(robot: SurveyedRobot, registry: Registry) -> SurveyedRobot:
-    """Return a robot with its last probe under the present champion; other probes say nothing."""
+    """Return a robot completed by its last probe under the current champion."""
     try:
         champion = registry.aliases(robot.robot).champion
         probes = [each for each in probes_of(registry, robot.robot) if each.champion == champion]
-    except HilError as error:  # a damaged history is this robot's alone
+    except HilError as error:  # a damaged history must not affect other robots
         return replace(robot, problem="; ".join(filter(None, (robot.problem, error.message))))
     return replace(robot, probe=probes[-1] if probes else None)
 
 
 def _or_nan(values: FloatArray, n: int) -> FloatArray:
-    """Return values of n joints; NaN for a robot without a model."""
+    """Return the values of n joints; NaN for a robot without a model."""
     return values if len(values) == n else np.full(n, np.nan)
 
 
 def survey_robot(run: Path, model: Path | None) -> SurveyedRobot:
-    """Return the state of one robot without its probes; computed by a worker."""
+    """Return the state of one robot without its probes; this function runs in a worker process."""
     if model is None:
         return _without_friction(run, model, "it has no model: hil fleet fit")
     try:
         estimator, names, friction, temperature = _friction(run, model)
     except HilError as error:
         return _without_friction(run, model, error.message)
-    # Estimators are plug-ins: one that breaks down must not cost the other robots.
+    # Estimators are plug-ins: any exception must affect only the robot of this model.
     except Exception as error:
-        return _without_friction(
-            run, model, f"its model broke down: {type(error).__name__}: {error}"
-        )
+        return _without_friction(run, model, f"its model failed: {type(error).__name__}: {error}")
     robot, age = robot_of(run), _age_years(run)
     return SurveyedRobot(robot, run, model, age, names, friction, temperature, estimator=estimator)
 
@@ -282,7 +284,7 @@ DAYS_A_YEAR = 365.25
 
 
 def _age_years(run: Path) -> float:
-    """Return the years from the station's `in_service` to the run; NaN if either is unknown."""
+    """Return the years from the date `in_service` of the station to the run; NaN if unknown."""
     try:
         start = read_json(run / "start.json")
         station = load_station(run / "station.yaml", look_up=False)
@@ -294,12 +296,12 @@ def _age_years(run: Path) -> float:
 
 
 def _friction(run: Path, model: Path) -> tuple[str, tuple[str, ...], FloatArray, FloatArray]:
-    """Return the estimator, joint names, (n,) RMS of friction [N·m] and mean temperature [°C]."""
+    """Return estimator, joint names, friction RMS (n,) [N·m] and mean temperature (n,) [°C]."""
     fitted = load_model_file(model)
     data = usable_part(load_source(run), fitted)
     prediction = fitted.predict(data)
     if "friction" not in prediction.components:
-        raise FitError(f"{fitted.estimator} does not say which part of its prediction is friction")
+        raise FitError(f"{fitted.estimator} does not predict friction separately")
     torque = prediction.components["friction"] * fitted.torque_scale_
     measured = data.columns.get("temperature", np.full_like(torque, np.nan))
     friction = np.sqrt(_known_mean(torque**2))
@@ -307,7 +309,7 @@ def _friction(run: Path, model: Path) -> tuple[str, tuple[str, ...], FloatArray,
 
 
 def _known_mean(values: FloatArray) -> FloatArray:
-    """(n,) mean over the rows (N, n) that are known; NaN for a joint without any."""
+    """Return the mean (n,) of the known values in (N, n); NaN for a joint without known values."""
     known = np.count_nonzero(~np.isnan(values), axis=0)
     mean = np.full(known.shape, np.nan)
     np.divide(np.nansum(values, axis=0), known, out=mean, where=known > 0)

@@ -1,14 +1,15 @@
-"""The log of a name in the registry: a file that only grows, one JSON line per event.
+"""Log of a model name in the registry: an append-only file with one JSON line per event.
 
-A line is committed with its newline. A torn last line is not committed, and the next writer removes
-it. Every line carries the digest of the line before, so that a changed or lost line with a
-successor is found. For the last line, `head.json` beside the log holds the number of lines and the
-digest of the last one. It is written after the line: after a kill between the two it is one line
-behind, and the next writer brings it up to date. Anything else is damage, which only `repair` may
-rewrite.
+A log line is committed by its newline character. A torn last line is not committed, and the next
+writer of the log removes it. Every log line contains the digest of the previous line. A changed or
+lost line is therefore detected by the line after it. The last line of the log has no line after it.
+For the last line, `head.json` beside the log contains the number of lines and the digest.
+`head.json` is written after the log line that it describes. If a writer is killed between the two
+writes, `head.json` is one line behind the log, and the next writer updates it. Any other difference
+between log and `head.json` counts as damage, which only `repair` may overwrite.
 
-One writer at a time holds the lock of a name (`writing`); readers need none, as no line is ever
-changed.
+Only one writer at a time owns the lock of a model name (`writing`). Readers of the log need no
+lock, because a committed line never changes.
 
 The role of each version follows from the events of the log (`Aliases.after`):
 
@@ -21,7 +22,7 @@ The role of each version follows from the events of the log (`Aliases.after`):
 | challenger            | kept                  | none       |                                 |
 | champion before       | rolled-back           | champion   | champions after that one: none  |
 
-`repaired` restores the roles that its evidence names; other events change no role.
+`repaired` restores the roles that are listed in its evidence. Events of other kinds change no role.
 """
 
 from __future__ import annotations
@@ -58,23 +59,25 @@ Event = Literal[
 ]
 
 CHAMPION_EVENTS = ("promoted", "rolled-back", "repaired")
-"""Events after which their version is the champion."""
+"""Kinds of event after which the version of the event is the champion."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One event.
+    """Event in the log of a model name.
 
     Attributes:
-        event: `registered`; `challenger`: made the one to be compared; `promoted`: made champion;
-            `kept`: compared, and the champion stays; `rolled-back`: an earlier champion again;
-            `head-adopted`: a log without `head.json` has one from here on; `repaired`: the log was
-            rebuilt, with the champion and challenger in `evidence`.
-        version: Number of the version it is about; 0 for an event of the log itself.
-        at: When, UTC, ISO 8601.
-        by: User who did it.
-        reason: In words.
-        evidence: What it rests on, such as a comparison.
+        event: Kind of the event, one of the following. `registered`: the version was registered.
+            `challenger`: the version
+            became the challenger. `promoted`: the version became the champion. `kept`: the version
+                was compared, and the champion stayed. `rolled-back`: an earlier champion became
+                champion again. `head-adopted`: `head.json` was created for a log that had none.
+                `repaired`: the log was rebuilt; `evidence` contains champion and challenger.
+        version: Number of the version; 0 for an event that concerns the log as a whole.
+        at: Time of the event, UTC, ISO 8601.
+        by: User who caused the event.
+        reason: Reason for the event in words.
+        evidence: Evidence of the decision, such as a comparison.
     """
 
     event: Event
@@ -86,11 +89,11 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """The version, such as `v3`; empty for an event of the log itself."""
+        """Label of the event's version, such as `v3`; empty for an event of the log as a whole."""
         return f"v{self.version}" if self.version else ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form."""
+        """Return the event as a JSON object."""
         return {
             "event": self.event,
             "version": self.version,
@@ -103,12 +106,12 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Aliases:
-    """Numbers of versions by role; 0 where there is none.
+    """Version number of each role; 0 if no version has the role.
 
     Attributes:
-        champion: The version in use.
-        challenger: The version to be compared with it.
-        before: Champions before it, newest last.
+        champion: Number of the version in use.
+        challenger: Number of the version to be compared with the champion.
+        before: Numbers of former champions, newest last.
     """
 
     champion: int = 0
@@ -130,7 +133,7 @@ class Aliases:
             left = (self.champion,) if self.champion else ()
             return Aliases(entry.version, 0, self.before + left)
         if entry.event == "rolled-back":
-            # The champions after that one are no way back: they would be the way forward again.
+            # Later champions are removed: a second rollback must not return to them.
             before = list(self.before)
             while before and before.pop() != entry.version:
                 pass
@@ -142,7 +145,7 @@ class Aliases:
         return self
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form."""
+        """Return the roles as a JSON object."""
         return {
             "champion": self.champion or None,
             "challenger": self.challenger or None,
@@ -151,10 +154,11 @@ class Aliases:
 
     @staticmethod
     def from_dict(document: Mapping[str, Any]) -> Aliases:
-        """Return what `to_dict` has written.
+        """Return the roles described by a JSON object that `to_dict` wrote.
 
         Raises:
-            ValueError, TypeError, KeyError: It is something else.
+            ValueError, TypeError, KeyError: The object lacks a role or contains an invalid version
+                number.
         """
         return Aliases(
             int(document["champion"] or 0),
@@ -163,7 +167,7 @@ class Aliases:
         )
 
     def of_versions(self, numbers: Iterable[int]) -> Aliases:
-        """Return the roles without those of versions that are not there."""
+        """Return the roles of the versions in `numbers`, without those of other versions."""
         there = frozenset(numbers)
         return Aliases(
             self.champion if self.champion in there else 0,
@@ -173,10 +177,10 @@ class Aliases:
 
 
 def read_log(folder: Path) -> tuple[Entry, ...]:
-    """Return all committed lines; a torn last one is none.
+    """Return all committed lines of a log, without a torn last line.
 
     Raises:
-        RegistryError: The log is damaged, or cannot be read.
+        RegistryError: The log is damaged or cannot be read.
     """
     state = inspect(folder)
     if state.problem:
@@ -185,7 +189,7 @@ def read_log(folder: Path) -> tuple[Entry, ...]:
 
 
 def registered_in(log: Iterable[Entry]) -> frozenset[int]:
-    """Return the versions that a log registers, without those recorded as lost by a repair."""
+    """Return the registered versions in a log, except those that a repair recorded as lost."""
     numbers: set[int] = set()
     for entry in log:
         if entry.event == "registered":
@@ -196,12 +200,12 @@ def registered_in(log: Iterable[Entry]) -> frozenset[int]:
 
 
 def last_number(log: Iterable[Entry]) -> int:
-    """Return the highest version number that a log has ever named; 0 if there is none."""
+    """Return the highest version number in a log; 0 if there is none."""
     return max((max(entry.version, *_lost_at(entry), 0) for entry in log), default=0)
 
 
 def _lost_at(entry: Entry) -> tuple[int, ...]:
-    """Return the versions without folders at a repair."""
+    """Return the versions whose folders were missing at a repair of the log."""
     return tuple(int(one) for one in entry.evidence.get("lost", ()))
 
 
@@ -210,25 +214,25 @@ def damaged(folder: Path, problem: str) -> RegistryError:
     command = f"hil models repair {shell_word(folder.name)} --registry {shell_word(folder.parent)}"
     return RegistryError(
         problem,
-        hint="restore the file or folder from a backup, or rebuild the log from the versions with: "
+        hint="restore the file or folder from a backup, or rebuild the log from the versions: "
         + command,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """The state of a log, compared with everything that can confirm it.
+    """State of a log, determined from the log, its head, `aliases.json` and the version folders.
 
     Attributes:
-        entries: Those that are confirmed, from the first line on.
-        raw: Bytes of these lines.
-        problem: What is damaged or missing; empty if the log is sound.
+        entries: Confirmed events of the log, from the first line on.
+        raw: Bytes of the confirmed log lines.
+        problem: Description of the damage to the log; empty if the log is intact.
         last_sha256: Digest of the last confirmed line.
-        has_head: Whether `head.json` is there and of this log.
-        behind: Whether `head.json` lacks the last line.
-        aliases: Champion and challenger, from the best source that is left.
-        source: File that `aliases` are from.
-        lost: Versions that log or roles name and whose folders are missing.
+        has_head: Flag; true if a valid `head.json` exists.
+        behind: Flag; true if `head.json` lacks the last line of the log.
+        aliases: Champion and challenger, read from the best remaining source.
+        source: Name of the file that is the source of `aliases`.
+        lost: Numbers of versions that are in the log or have a role, but whose folders are missing.
     """
 
     entries: tuple[Entry, ...]
@@ -244,7 +248,7 @@ class Inspection:
 
 @dataclass(frozen=True, slots=True)
 class _Head:
-    """Number of lines, digest of the last one, and the roles after it."""
+    """Content of `head.json`: number of log lines, digest of the last one, and roles after it."""
 
     lines: int
     sha256: str
@@ -253,7 +257,11 @@ class _Head:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """A committed line; `numbered` if it has its number, as lines have since there is a head."""
+    """Committed line of a log.
+
+    Attributes:
+        numbered: Flag; true if the line contains its number, false for lines older than the head.
+    """
 
     entry: Entry
     raw: bytes
@@ -262,10 +270,11 @@ class _Line:
 
 
 def inspect(folder: Path) -> Inspection:
-    """Compare a log with its head, and one without a head with `aliases.json` and the versions.
+    """Compare a log with its head or, without a head, with `aliases.json` and the version folders.
 
-    Needs no lock: head and versions are read before the log, because the log only grows. The head
-    is read again afterwards, because a writer may have appended a line meanwhile.
+    No lock is needed for the comparison: head and version folders are read before the log, which is
+    append-only. The head is read again after the log, because a writer may have appended a line
+    meanwhile.
 
     Raises:
         RegistryError: The log cannot be read.
@@ -273,22 +282,22 @@ def inspect(folder: Path) -> Inspection:
     numbers, view, head = numbers_in(folder), _read_view(folder), _read_head(folder)
     lines, problem = _chain(folder)
     if head == "" and (folder / HEAD_FILE).exists():
-        return inspect(folder)  # a writer has made one meanwhile
-    # A folder appears before its line: those of all lines read are there only now.
+        return inspect(folder)  # a writer has created the head meanwhile
+    # A folder is created before its line: read the folders after the lines.
     there = numbers_in(folder)
     entries = tuple(line.entry for line in lines)
     confirmed, has_head, behind = len(lines), isinstance(head, _Head), False
     aliases, source = Aliases.after(entries), LOG_FILE
     if isinstance(head, _Head):
-        # A changed last line is not confirmed, and neither is what follows it.
+        # A changed last line and the lines after it are not confirmed.
         if len(lines) >= head.lines and lines[head.lines - 1].sha256 != head.sha256:
             confirmed = head.lines - 1
             where = f"{folder / LOG_FILE}:{head.lines}"
-            problem = problem or f"{where} is not the line that was written: it was changed"
+            problem = problem or f"{where} was changed: its digest is not the recorded one"
         elif len(lines) >= head.lines and head.aliases != Aliases.after(entries[: head.lines]):
             problem = problem or (
-                f"{folder / HEAD_FILE}: its roles differ from those after line {head.lines} of "
-                f"{LOG_FILE}: it was changed"
+                f"{folder / HEAD_FILE} was changed: its roles differ from those after line "
+                f"{head.lines} of {LOG_FILE}"
             )
         if confirmed < head.lines:
             aliases, source = head.aliases, HEAD_FILE
@@ -322,7 +331,7 @@ def inspect(folder: Path) -> Inspection:
 
 
 def _read_head(folder: Path) -> _Head | str:
-    """Return the head; empty text where there is none, else what is wrong with it."""
+    """Return the head, an empty text if `head.json` is missing, or the problem of the head."""
     path = folder / HEAD_FILE
     try:
         document = json.loads(path.read_bytes())
@@ -346,11 +355,11 @@ def _read_view(folder: Path) -> Aliases | None:
     try:
         return Aliases.from_dict(json.loads((folder / ALIASES_FILE).read_bytes()))
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
-        return None  # a view may be missing
+        return None  # the view is optional
 
 
 def _chain(folder: Path) -> tuple[list[_Line], str]:
-    """Return the committed lines up to the first broken link, and the problem there."""
+    """Return the committed lines up to the first broken digest link, and the problem there."""
     path = folder / LOG_FILE
     lines: list[_Line] = []
     for number, raw in read_lines(path):
@@ -366,7 +375,7 @@ def _chain(folder: Path) -> tuple[list[_Line], str]:
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             return lines, f"{path}:{number}: damaged: {error}"
         if not linked or numbered not in (None, number):
-            # The line before may be the changed one: the digest here is of what it was.
+            # The line before may have been changed: this line has the digest of its original.
             return lines[:-1], (
                 f"{path}:{number} does not follow the line before it: the log was changed"
             )
@@ -376,17 +385,17 @@ def _chain(folder: Path) -> tuple[list[_Line], str]:
 
 
 def _states(entries: Sequence[Entry]) -> list[Aliases]:
-    """Return the roles after each line, also before the first."""
+    """Return the roles of versions before the first log line and after each line."""
     return [Aliases.after(entries[:k]) for k in range(len(entries) + 1)]
 
 
 def _lost_lines(folder: Path, there: int, head: _Head) -> str:
-    """Return which of the lines that the head records are missing from the log."""
+    """Return a text about the lines that the head records but the log lacks."""
     path = folder / LOG_FILE
     champion = f"v{head.aliases.champion}" if head.aliases.champion else "none"
     after = f"; the champion after line {head.lines} was {champion}"
     if not path.exists():
-        return f"{path} is missing, with its {head.lines} lines{after}"
+        return f"{path} with its {head.lines} lines is missing{after}"
     lost = f"line {head.lines}" if there == head.lines - 1 else f"lines {there + 1} to {head.lines}"
     verb = "is" if there == head.lines - 1 else "are"
     return (
@@ -398,10 +407,11 @@ def _lost_lines(folder: Path, there: int, head: _Head) -> str:
 def _without_head(
     folder: Path, lines: Sequence[_Line], numbers: Sequence[int], view: Aliases | None
 ) -> str:
-    """Return what is missing from a log without a head; empty for a new or an older log.
+    """Return the problem of a log without a head; empty for a new log or an older log format.
 
-    An older log is compared with `aliases.json` and the version folders: after a crash at most one
-    version is missing from the log, and `aliases.json` may be older than the log.
+    A log of an older format is compared with `aliases.json` and the version folders. After a crash,
+    at most one version is missing from a log of an older format, and `aliases.json` may be older
+    than the log.
     """
     path, entries = folder / LOG_FILE, tuple(line.entry for line in lines)
     if any(line.numbered for line in lines[:-1]):
@@ -412,40 +422,40 @@ def _without_head(
         return f"{path}: the lines that registered {', '.join(unknown)} are missing"
     if view is not None and view not in _states(entries):
         roles = f"champion v{view.champion}" if view.champion else "no champion"
-        return f"{path}: lines are missing: {ALIASES_FILE} has {roles}, which no line leads to"
+        return f"{path}: lines are missing: no line leads to {roles}, as in {ALIASES_FILE}"
     return ""
 
 
 def _lost_versions(folder: Path, lost: Sequence[int], aliases: Aliases) -> str:
-    """Return which version folders are missing, with their roles."""
+    """Return a text about the missing version folders and their roles."""
     roles = {aliases.challenger: " (challenger)", aliases.champion: " (champion)"}
     names = ", ".join(folder_of(folder, one).name + roles.get(one, "") for one in lost)
-    return f"{folder}: missing version folders that {LOG_FILE} names: {names}"
+    return f"{folder}: version folders that {LOG_FILE} names are missing: {names}"
 
 
 def append(folder: Path, entry: Entry) -> None:
-    """Add a line; it is there for good when this returns. The caller holds the lock.
+    """Append a line durably to a log; the caller must own the lock of the model name.
 
     Raises:
-        RegistryError: The log is damaged, or cannot be written.
+        RegistryError: The log is damaged or cannot be written.
     """
     _append(folder, settle(folder), entry)
 
 
 def settle(folder: Path) -> Inspection:
-    """Bring `head.json` up to date, or adopt one for an older log. The caller holds the lock.
+    """Update `head.json`, or create it for a log of an older format; the caller must own the lock.
 
     Returns:
-        The log as it is then.
+        State of the log after the update.
 
     Raises:
-        RegistryError: The log is damaged, or cannot be written.
+        RegistryError: The log is damaged or cannot be written.
     """
     state = inspect(folder)
     if state.problem:
         raise damaged(folder, state.problem)
     if state.entries and not state.has_head and not state.behind:
-        reason = f"{HEAD_FILE} holds the number of lines and the last digest from here on"
+        reason = f"from here on, {HEAD_FILE} records the number of lines and the last digest"
         _append(folder, state, Entry("head-adopted", 0, utc_now(), operator(), reason))
         return inspect(folder)
     if state.behind:
@@ -470,7 +480,7 @@ def _write_head(folder: Path, entries: Sequence[Entry], sha256: str) -> None:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    """Write a file whole, so that it is there after a power loss, too."""
+    """Replace the content of a file atomically and durably."""
     try:
         write_whole(path, content)
         fsync_directory(path.parent)
@@ -480,17 +490,17 @@ def _replace(path: Path, content: bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Repair:
-    """What `repair` has done.
+    """Summary of a repair.
 
     Attributes:
-        problem: What was damaged or missing.
-        lines: Lines of the log that were confirmed, and stay.
-        lines_set_aside: Lines that were not, and are only in `aside`.
-        registered: Versions that were entered from their folders.
-        lost: Versions whose folders are missing: they have no role any more.
-        aliases: Champion and challenger now.
-        source: File that these are from.
-        aside: Folder with a backup of the files before the repair.
+        problem: Description of the damage that was repaired.
+        lines: Number of confirmed log lines, which the log retains.
+        lines_set_aside: Number of unconfirmed log lines, which only the backup in `aside` contains.
+        registered: Numbers of versions that were added to the log because their folders exist.
+        lost: Numbers of versions with missing folders, which no longer have a role.
+        aliases: Champion and challenger after the repair.
+        source: Name of the file from which `aliases` was read.
+        aside: Folder with a backup of log, head and view before the repair.
     """
 
     problem: str
@@ -503,7 +513,7 @@ class Repair:
     aside: Path
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form."""
+        """Return the summary as a JSON object."""
         return {
             "problem": self.problem,
             "lines": self.lines,
@@ -519,16 +529,18 @@ class Repair:
 def repair(folder: Path) -> Repair | None:
     """Rebuild a damaged log from its intact lines and the version folders.
 
-    Champion and challenger come from `head.json` if it records more than the log, and from
-    `aliases.json` if there is no head. Copies of the old files stay in a folder of their own.
-    After a kill on the way the log is still damaged, and `repair` can be repeated. The caller holds
-    the lock.
+    Champion and challenger are read from `head.json` if the log has fewer lines than the head
+    records, and from `aliases.json` if there is no head. Copies of log, head and view are stored in
+    a separate folder before the repair. If the process is killed during the repair, the log is
+    still damaged, and `repair` can be repeated. The caller of `repair` must own the lock of the
+    model name.
 
     Returns:
-        What was done; None where the log is sound.
+        Summary of the repair; None if the log was intact.
 
     Raises:
-        RegistryError: A version's folder is damaged, or the folder cannot be written.
+        RegistryError: The folder of a version is damaged, or the folder of the name cannot be
+            written.
     """
     state = inspect(folder)
     if not state.problem:
@@ -563,13 +575,13 @@ def repair(folder: Path) -> Repair | None:
 
 
 def _lines_in(path: Path) -> int:
-    """Return the number of lines, a torn last one included."""
+    """Return the number of lines in the log, including a torn last line."""
     content = path.read_bytes() if path.exists() else b""
     return content.count(b"\n") + bool(content.rpartition(b"\n")[2])
 
 
 def _set_aside(folder: Path) -> Path:
-    """Copy log, head and view into a new folder, which is there whole or not at all."""
+    """Copy the log, its head and its view into a new folder, which is created atomically."""
     stamp = utc_now()[:19].replace(":", "").replace("-", "")
     names = (f"damaged-{stamp}" + (f"-{k}" if k else "") for k in range(1000))
     aside = next(path for name in names if not (path := folder / name).exists())
@@ -591,24 +603,26 @@ def _set_aside(folder: Path) -> Path:
 
 
 def write_view(folder: Path, aliases: Aliases) -> None:
-    """Write `aliases.json`, a view of the log for people."""
+    """Write `aliases.json`, a summary of the log for human readers."""
     _replace(folder / ALIASES_FILE, json_document(aliases.to_dict()))
 
 
 def append_line(path: Path, document: Mapping[str, Any]) -> None:
-    """Add a line of JSON to a file that only grows; the caller holds the lock of its folder.
+    """Append a JSON line to an append-only file; the caller must own the lock of the file's folder.
 
     Raises:
-        RegistryError: It cannot be written.
+        RegistryError: The file cannot be written.
     """
     _append_bytes(path, json_line(document).encode())
 
 
 def read_lines(path: Path) -> list[tuple[int, bytes]]:
-    """Return the committed lines of such a file with their numbers; a torn last one is none.
+    """Return the committed lines of an append-only file, each with its line number.
+
+    A torn last line of the file is not included.
 
     Raises:
-        RegistryError: It cannot be read.
+        RegistryError: The file cannot be read.
     """
     try:
         content = path.read_bytes()
@@ -616,7 +630,7 @@ def read_lines(path: Path) -> list[tuple[int, bytes]]:
         return []
     except OSError as error:
         raise RegistryError(
-            f"cannot read {path}: {error.strerror}", hint="see whether it exists and may be read"
+            f"cannot read {path}: {error.strerror}", hint="check that it exists and is readable"
         ) from error
     return list(enumerate(content.split(b"\n")[:-1], start=1))
 
@@ -639,7 +653,7 @@ def _append_bytes(path: Path, line: bytes) -> None:
 def _cannot_write(path: Path, error: OSError) -> RegistryError:
     return RegistryError(
         f"cannot write {path}: {error.strerror or error}",
-        hint="see whether the folder may be written to and the disk has room",
+        hint="check that the folder is writable and that the disk has space",
     )
 
 
@@ -649,40 +663,45 @@ def _write(descriptor: int, content: bytes) -> None:
 
 
 def _committed(path: Path) -> int:
-    """Bytes up to the last line break."""
+    """Return the number of bytes up to and including the last line break of the file."""
     return path.read_bytes().rfind(b"\n") + 1
 
 
 LOCK_FILE = ".lock"
 PATIENCE_S = 30.0
-"""Longest wait for another writer: registering copies files, promoting writes a line."""
+"""Maximum time to wait for a different writer [s]: a registration copies files, a promotion writes
+one line.
+"""
 
 _POLL_S = 0.01
 
 
 @contextmanager
 def writing(folder: Path, patience_s: float = PATIENCE_S) -> Iterator[None]:
-    """Hold the lock of a name while inside; the kernel frees it when its holder dies.
+    """Hold the lock of a model name inside a `with` block.
+
+    The kernel releases the lock of a model name if the process dies.
 
     Raises:
-        RegistryError: It cannot be made, or another process keeps it for longer than `patience_s`.
+        RegistryError: The lock file cannot be created, or a different process owns the lock for
+            longer than `patience_s` seconds.
     """
     from filelock import FileLock, Timeout
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # A lock file that survives its holder would keep a registry closed: never a soft lock.
+        # No soft lock: its file would remain after a crash and block the registry.
         lock = FileLock(folder / LOCK_FILE, timeout=patience_s, fallback_to_soft=False)
         lock.acquire(poll_interval=_POLL_S)
     except Timeout as error:
         raise RegistryError(
             f"another process has been writing in {folder} for {patience_s:g} s",
-            hint="try again when it is done",
+            hint="try again when that process has finished",
         ) from error
     except OSError as error:
         raise RegistryError(
             f"cannot write in {folder}: {error.strerror or error}",
-            hint="name a registry you may write to with --registry, on a file system with locks",
+            hint="name a writable registry with --registry, on a file system with file locks",
         ) from error
     try:
         yield

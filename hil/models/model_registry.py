@@ -1,9 +1,9 @@
-"""The registry: models under names, in versions; registered, promoted, rolled back.
+"""Model registry: registration, promotion and rollback of the versions of a model.
 
-Whatever is committed stays: a version's folder appears whole, the log only grows, and nothing is
-deleted. A process that dies between folder and log leaves a version that the log does not have yet;
-the next writer enters it (`_adopt`). Where a model came from is collected when it is registered
-(`facts_of`).
+Committed data never change: the folder of a version is created atomically, the log is append-only,
+and nothing is deleted. If a process dies between the creation of a version's folder and its log
+entry, the log lacks this version, and the next writer adds it (`_adopt`). The origin of a model is
+collected at its registration (`facts_of`).
 """
 
 from __future__ import annotations
@@ -59,23 +59,23 @@ from hil.models.version import (
 from hil.recording import PARTIAL_SUFFIX, operator, package_versions, source_revision, utc_now
 
 FEW = 5
-"""Names that a hint lists."""
+"""Maximum number of names in the hint of an error."""
 
 
 def registry(folder: AnyPath = "registry") -> Registry:
-    """Return the registry of a folder: models under names, in versions, with their champions.
+    """Return the registry in a folder: models by name, each with versions and a champion.
 
     Args:
-        folder: Made when something is registered.
+        folder: Folder of the registry; the folder is created at the first registration.
     """
     return Registry(path_of(folder))
 
 
 class Registry:
-    """A folder of named models.
+    """Registry of named models in a folder.
 
     Args:
-        root: Made when something is registered.
+        root: Folder of the registry; the folder is created at the first registration.
     """
 
     def __init__(self, root: Path) -> None:
@@ -85,7 +85,7 @@ class Registry:
         return f"<Registry {self.root}: {', '.join(self.names()) or 'no models'}>"
 
     def _repr_html_(self) -> str:
-        """Return the card for a notebook: a row per name."""
+        """Return the notebook card: a table with one row per model name."""
         rows = []
         for name in self.names():
             labels = ("log damaged", "–")
@@ -98,7 +98,11 @@ class Registry:
         return card("Registry", self.root, {}, table=(head, rows) if rows else None, notes=notes)
 
     def names(self) -> list[str]:
-        """Return the names that have versions, or have lost them without a repair, in order."""
+        """Return all model names in alphabetical order.
+
+        A model name is listed if it has versions, or if its log shows that its versions are
+        missing.
+        """
         if not self.root.is_dir():
             return []
         return sorted(
@@ -108,35 +112,35 @@ class Registry:
         )
 
     def versions(self, name: str) -> list[ModelVersion]:
-        """Return all versions of a name, oldest first; none if all folders are missing.
+        """Return all versions of a name, oldest first; an empty list if all folders are missing.
 
         Raises:
-            RegistryError: There is no such name, or one is damaged.
+            RegistryError: The name does not exist, or one of its versions is damaged.
         """
         home = self._home(name)
         return [read_version(home, number) for number in numbers_in(home)]
 
     def log(self, name: str) -> tuple[Entry, ...]:
-        """Return what was done to the versions of a name, oldest first.
+        """Return the log of a name: all events of its versions, oldest first.
 
         Raises:
-            RegistryError: There is no such name, or its log is damaged.
+            RegistryError: The name does not exist, or its log is damaged.
         """
         return read_log(self._home(name))
 
     def aliases(self, name: str) -> Aliases:
-        """Return champion, challenger and earlier champions, by the log.
+        """Return champion, challenger and former champions of a name, according to its log.
 
         Raises:
-            RegistryError: There is no such name, or its log is damaged.
+            RegistryError: The name does not exist, or its log is damaged.
         """
         return Aliases.after(self.log(name))
 
     def version(self, name: str, which: str = "champion") -> ModelVersion:
-        """Return a version by `champion`, `challenger` or number (`3`, `v3`).
+        """Return the version that is `champion`, `challenger` or has a number (`3`, `v3`).
 
         Raises:
-            RegistryError: There is none.
+            RegistryError: The requested version does not exist.
         """
         home = self._home(name)
         if which in ("champion", "challenger"):
@@ -149,16 +153,17 @@ class Registry:
             return read_version(home, number)
         if not (digits := which.removeprefix("v")).isdecimal():
             raise RegistryError(
-                f"{which!r} is no version of {name}", hint="give champion, challenger, or v3"
+                f"{which!r} is not a version of {name}",
+                hint="use champion, challenger or a version: v3",
             )
         return read_version(home, int(digits))
 
     def load(self, name: str, which: str = "champion") -> RobotEstimator:
-        """Return the model of a version; its files are compared with their digests first.
+        """Load the model of a version, after checking its files against their digests.
 
         Raises:
-            RegistryError: There is none, or its files were changed.
-            DataError: They cannot be read.
+            RegistryError: The requested version does not exist, or its files were changed.
+            DataError: The model files of the version cannot be read.
         """
         version = self.version(name, which)
         version.verify()
@@ -172,25 +177,26 @@ class Registry:
         *,
         challenger: bool = False,
     ) -> ModelVersion:
-        """Add a model folder as a version; the same model twice is one version.
+        """Register a model folder as a version; an identical model is registered only one time.
 
         Args:
-            name: Such as the robot's in its station.
-            model: Folder; read once, so that it may change or go afterwards.
-            facts: What is known of it; by default those of `hil.models.model_registry.facts_of`.
-            challenger: Make it the one to be compared with the champion.
+            name: Name of the model, such as the name of the robot in its station.
+            model: Model folder. The files of the model folder are copied, so the folder may be
+                changed or deleted later.
+            facts: Origin of the model; None for the result of `hil.models.model_registry.facts_of`.
+            challenger: Flag; if true, the version becomes the challenger.
 
         Returns:
-            The new version, or the one that has the same files.
+            The new version, or the existing version if its files are identical.
 
         Raises:
-            RegistryError: The name cannot be, or the registry cannot be written.
-            DataError: The folder holds no model that can be read.
-            SpecError: The facts are no values by name.
+            RegistryError: The name is invalid, or the registry cannot be written.
+            DataError: The model folder contains no readable model.
+            SpecError: The argument `facts` is not a mapping.
         """
         require_name(name)
         model = Path(model)
-        load_model_file(model)  # what cannot be read is not registered
+        load_model_file(model)  # raises if the model cannot be read
         facts = facts_of(model) if facts is None else _require_facts(facts)
         files = {p.name: p.read_bytes() for p in sorted(model.iterdir()) if p.is_file()}
         files.pop(VERSION_FILE, None)
@@ -200,17 +206,17 @@ class Registry:
             digest = digest_of(files)
             versions = [read_version(home, number) for number in numbers_in(home)]
             version = next((one for one in versions if one.digest == digest), None)
-            # Before the version: the runs it came from must not be deleted in between.
+            # Note the registry first, so that the runs of the model cannot be deleted meanwhile.
             note_registry(self.root, _sources(model, facts))
             if version is None:
-                # A number that the log has named stays taken, even if its folder is lost.
+                # A number in the log is not used again, even if its folder is lost.
                 number = max([*numbers_in(home), last_number(read_log(home))]) + 1
                 digests = {file: hashlib.sha256(raw).hexdigest() for file, raw in files.items()}
                 at, by, folder = utc_now(), operator(), folder_of(home, number)
                 version = ModelVersion(name, number, folder, digest, at, by, facts, digests)
                 write_version(home, version, files)
                 self._adopt(home)
-            # A champion cannot challenge itself.
+            # The champion cannot become the challenger.
             now = Aliases.after(read_log(home))
             if challenger and version.number not in (now.champion, now.challenger):
                 self._log(home, "challenger", version.number)
@@ -219,17 +225,19 @@ class Registry:
     def promote(
         self, name: str, number: int, *, reason: str, evidence: Mapping[str, Any], instead_of: int
     ) -> Aliases:
-        """Make a version the champion.
+        """Make a version the champion of its model name.
 
         Args:
-            name: Of the models.
-            number: Of the version.
-            reason: In words.
-            evidence: What the decision rests on, such as a comparison.
-            instead_of: Champion it was compared with, 0 for none.
+            name: Name of the model.
+            number: Number of the version that becomes the champion.
+            reason: Reason for the promotion in words.
+            evidence: Evidence of the decision, such as a comparison.
+            instead_of: Number of the champion with which the version was compared, 0 if there was
+                no champion.
 
         Raises:
-            RegistryError: There is no such version, or the champion is another one by now.
+            RegistryError: The version does not exist, or the champion has changed since the
+                comparison.
         """
         home = self._home(name)
         read_version(home, number).verify()
@@ -242,15 +250,15 @@ class Registry:
                 raise RegistryError(
                     f"{name}: v{number} was compared with v{instead_of}, but v{now.champion} has "
                     "become champion meanwhile",
-                    hint="compare it with that one",
+                    hint=f"compare v{number} with v{now.champion}",
                 )
             return self._log(home, "promoted", number, reason, evidence)
 
     def keep(self, name: str, number: int, *, reason: str, evidence: Mapping[str, Any]) -> Aliases:
-        """Note that a version was compared, and that the champion stays.
+        """Log that a version was compared with the champion and that the champion stays.
 
         Raises:
-            RegistryError: There is no such version.
+            RegistryError: The compared version does not exist.
         """
         home = self._home(name)
         read_version(home, number)
@@ -259,31 +267,33 @@ class Registry:
             return self._log(home, "kept", number, reason, evidence)
 
     def roll_back(self, name: str, *, reason: str, to: int = 0) -> Aliases:
-        """Make the champion before the present one champion again, or an earlier one.
+        """Make the previous champion, or an earlier champion, champion again.
 
         Raises:
-            RegistryError: There was none, or it was never champion, or its files were changed.
+            RegistryError: There is no previous champion, the version `to` was never champion, or
+                the files of the version were changed.
         """
         home = self._home(name)
         with writing(home):
             self._adopt(home)
             before = Aliases.after(read_log(home)).before
             if not before or (to and to not in before):
-                was = ", ".join(f"v{one}" for one in before) or "no other"
+                was = ", ".join(f"v{one}" for one in before) or "none"
                 raise RegistryError(
-                    f"{name} cannot go back{f' to v{to}' if to else ''}: champion before this one "
-                    f"was {was}",
-                    hint=f"see what was done with: hil models log {name}",
+                    f"{name} cannot be rolled back{f' to v{to}' if to else ''}; previous "
+                    f"champions: {was}",
+                    hint=f"see the log of {name}: hil models log {name}",
                 )
             target = to or before[-1]
             read_version(home, target).verify()
             return self._log(home, "rolled-back", target, reason)
 
     def rebuild(self, name: str) -> Aliases:
-        """Make the view from the log anew, after entering versions that a crash has left out of it.
+        """Rebuild `aliases.json` from the log, after adding versions missing after a crash.
 
         Raises:
-            RegistryError: There is no such name, or its log is damaged: nothing is written then.
+            RegistryError: The name does not exist, or its log is damaged. Nothing is written if the
+                name does not exist or its log is damaged.
         """
         home = self._home(name)
         with writing(home):
@@ -291,13 +301,14 @@ class Registry:
             return _view(home)
 
     def check(self) -> dict[str, tuple[list[ModelVersion], Aliases]]:
-        """Compare every file with its digest and every log with its head; rebuild the views.
+        """Check every file against its digest and every log against its head; rebuild all views.
 
         Returns:
-            Versions and roles by name.
+            Mapping of each model name to its versions and roles.
 
         Raises:
-            RegistryError: With all problems; nothing is written for a damaged name.
+            RegistryError: One or more model names are damaged; the message lists all problems.
+                Nothing is written for a damaged model name.
         """
         sound, problems = {}, list[RegistryError]()
         for name in self.names():
@@ -314,10 +325,10 @@ class Registry:
         return sound
 
     def problem(self, name: str) -> RegistryError | None:
-        """Return what is wrong with a name's log; None where it is sound. Writes nothing.
+        """Return the problem of a name's log, or None if the log is intact; no file is written.
 
         Raises:
-            RegistryError: There is no such name, or its log cannot be read.
+            RegistryError: The name does not exist, or its log cannot be read.
         """
         home = self._home(name)
         problem = inspect(home).problem
@@ -326,13 +337,14 @@ class Registry:
     def repair(self, name: str) -> Repair | None:
         """Rebuild a damaged log from its intact lines and the version folders.
 
-        Copies of the old files stay in a folder of their own.
+        Copies of the old files of the name are stored in a separate folder before the repair.
 
         Returns:
-            What was done; None where the log is sound.
+            Summary of the repair; None if the log was intact.
 
         Raises:
-            RegistryError: There is no such name, a version is damaged, or nothing can be written.
+            RegistryError: The name does not exist, one of its versions is damaged, or a file cannot
+                be written.
         """
         home = self._home(name)
         with writing(home):
@@ -349,15 +361,19 @@ class Registry:
         return home
 
     def _others(self, name: str) -> str:
-        """Return the hint for a name that is not there."""
+        """Return the hint of the error for a model name that does not exist."""
         names = self.names()
         if guess := closest(name, names):
             return f"did you mean {guess!r}?"
         few = ", ".join(names[:FEW]) + (", …" if len(names) > FEW else "")
-        return f"there is {few}: hil models list" if names else "register one: hil models register"
+        return (
+            f"the registry has {few}: hil models list"
+            if names
+            else "register one: hil models register"
+        )
 
     def _adopt(self, home: Path) -> None:
-        """Enter versions whose folders are there into the log, which must be sound."""
+        """Add existing version folders that the log lacks to the log, which must be intact."""
         logged = registered_in(settle(home).entries)
         for number in numbers_in(home):
             if number not in logged:
@@ -383,14 +399,14 @@ def _label(number: int) -> str:
 def _require_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(facts, Mapping):
         raise SpecError(
-            f"facts are {facts!r:.80}, not values by name",
-            hint="leave them out: the model and its run tell them",
+            f"expected a mapping as facts, got {facts!r:.80}",
+            hint="omit facts: they are read from the model and its run",
         )
     return dict(facts)
 
 
 def _sources(model: Path, facts: Mapping[str, Any]) -> list[Path]:
-    """Return where a model lies and what it was fitted to, as far as known."""
+    """Return the folder of a model and the recordings it was fitted to, as far as known."""
     folder = (facts.get("run") or {}).get("folder")
     return [model, *(Path(str(one)) for one in (folder, *facts.get("data", ())) if one)]
 
@@ -409,10 +425,10 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}\Z")
 
 
 def require_name(name: str) -> None:
-    """Refuse what cannot be a folder of its own everywhere.
+    """Raise if a name is not a valid folder name on every operating system.
 
     Raises:
-        RegistryError: It cannot.
+        RegistryError: The model name is invalid.
     """
     if not _NAME.match(name):
         raise RegistryError(
@@ -425,18 +441,19 @@ FIT_FOLDER = "fit"
 
 
 def facts_of(model: Path, sources: Iterable[Path] = ()) -> dict[str, Any]:
-    """Return what is known of where a model came from, for `version.json`.
+    """Return the origin of a model, as stored in `version.json`.
 
-    A model under `RUN/fit/`, or fitted to one run alone, is of that run, which has the digests of
-    its recordings.
+    A model under `RUN/fit/`, or a model that was fitted to one run alone, belongs to that run. The
+    documents of a run contain the digests of its recordings.
 
     Args:
-        model: Its folder.
-        sources: Recordings it was fitted to, if it is not of a run.
+        model: Folder of the model.
+        sources: Recordings to which the model was fitted; used only if the model does not belong to
+            a run.
 
     Raises:
-        DataError: The model's documents or the run's cannot be read.
-        RegistryError: A source is not there.
+        DataError: The documents of the model or of the run cannot be read.
+        RegistryError: One of `sources` does not exist.
     """
     document = read_json(model / MODEL_FILE)
     fitted, training = document.get("fitted", {}), document.get("training") or {}
@@ -462,14 +479,15 @@ def facts_of(model: Path, sources: Iterable[Path] = ()) -> dict[str, Any]:
 
 
 def _digests(run: Path | None, sources: Iterable[Path]) -> dict[str, str]:
-    """Return path → SHA-256 of recordings: those a finished run has noted, and the sources.
+    """Return path → SHA-256 of recordings: those logged by a finished run, and those in `sources`.
 
-    Recordings of several runs have the same names: the second of a name stands with its whole path.
+    Recordings of different runs may have the same file name. The second recording with the same
+    file name is then listed with its whole path.
     """
     digests: dict[str, str] = {}
     for stop in sorted(run.glob("stop*.json")) if run is not None else ():  # one per attempt
         noted = read_json(stop).get("sha256", {})
-        # Also one that a crash has cut off: what is whole in it is learned from.
+        # A recording that a crash has cut off counts: its complete part is training data.
         digests |= {
             name: digest
             for name, digest in noted.items()
@@ -477,7 +495,7 @@ def _digests(run: Path | None, sources: Iterable[Path]) -> dict[str, str]:
         }
     for source in sources:
         if not source.exists():
-            raise RegistryError(f"{source} is not there", hint="name the recordings as they are")
+            raise RegistryError(f"{source} does not exist", hint="give existing recordings or runs")
         whole = source.is_dir()
         noted = _digests(source, ()) if whole else {source.name: sha256_of(source)}
         for name, digest in noted.items():
@@ -500,18 +518,20 @@ def _run(run: Path | None) -> dict[str, Any] | None:
 
 
 def _evaluation(model: Path) -> Any:
-    """Return the totals of `evaluation.json`; its tables stay in the file."""
+    """Return the totals of `evaluation.json` without its tables."""
     path = model / EVALUATION_FILE
     if not path.is_file():
         return None
     try:
         document = json.loads(path.read_bytes())
     except ValueError as error:
-        raise DataError(f"{path} is no evaluation: {error}", hint="fit the model again") from error
+        raise DataError(
+            f"{path} is not a valid evaluation: {error}", hint="fit the model again"
+        ) from error
     if not isinstance(document, dict):
         return None
     held_out = document.get("held_out") or {}
-    # A run has one hold-out of its own, `hil fit` an entry per held-out source.
+    # A run has one hold-out set, whereas `hil fit` writes one entry per held-out source.
     parts = [
         {"source": held_out.get("what", ""), **held_out},
         *({"total": one, **one} for one in document.get("validation") or ()),

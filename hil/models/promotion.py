@@ -1,12 +1,15 @@
-"""Champion and challenger: compared on data that neither was fitted to; the better one is promoted.
+"""Comparison of challenger and champion on unseen data, and promotion of the better model.
 
-The unit of the comparison is a block of 5 s, since errors of neighbouring samples are alike. So are
-those of the same motion driven again, and blocks at the same place of a motion count once. Each
-block has the difference of the two squared errors, per joint as a share of the champion's own;
-Student's t over the blocks gives the 95 % interval of the mean (`Comparison`).
+The comparison is based on blocks of 5 s instead of samples, because the errors of neighbouring
+samples are correlated. The prediction errors of repetitions of the same motion are correlated, too,
+so all blocks at the same place of a motion count as one observation. Each block yields, per joint,
+the difference of the squared errors of the two models as a share of the champion's squared error.
+Student's t distribution over the blocks yields the 95 % confidence interval of the mean difference
+(`Comparison`).
 
-All data of one day share its room temperature and its warm-up: however many they are, they say
-something about that day alone. With recordings of several days, each day counts once (`Days`).
+All data of one day share the same room temperature and the same warm-up. Any amount of data of one
+day is evidence about that day only. With recordings of several days, each day counts as one
+observation (`Days`).
 """
 
 from __future__ import annotations
@@ -46,17 +49,17 @@ from hil.models.version import ModelVersion
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """The result of a challenge.
+    """Result of a challenge.
 
     Attributes:
-        version: The challenger.
-        instead_of: Champion it was compared with; None without one.
-        promoted: Whether it is champion now.
-        reason: Why, or why not.
-        comparison: None without a champion.
-        verdicts: Per source, on the criteria.
-        days: The comparison over several days; None if there was no other day, or if the challenger
-            had lost already.
+        version: Challenger.
+        instead_of: Champion with which the challenger was compared; None if there was no champion.
+        promoted: Flag; true if the challenger became the champion.
+        reason: Reason for or against the promotion in words.
+        comparison: Comparison of challenger and champion; None if there was no champion.
+        verdicts: Verdict on the criteria for each data source.
+        days: Comparison over several days; None if there was no other day, or if the challenger had
+            been rejected before.
     """
 
     version: ModelVersion
@@ -68,7 +71,7 @@ class Decision:
     days: Days | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract of `hil models promote --json`."""
+        """Return the documented output of `hil models promote --json`."""
         return {
             "name": self.version.name,
             "version": self.version.label,
@@ -79,7 +82,7 @@ class Decision:
 
     @property
     def evidence(self) -> dict[str, Any]:
-        """What the decision rests on, as the log has it."""
+        """Evidence of the decision, as stored in the log."""
         return {
             "comparison": self.comparison and self.comparison.to_dict(),
             "criteria": [verdict.to_dict() for verdict in self.verdicts],
@@ -97,23 +100,25 @@ def challenge(
     reason: str = "",
     earlier: Sequence[Path] = (),
 ) -> Decision:
-    """Compare a version with the champion; promote it, or note why not.
+    """Compare a version with the champion; promote the version, or log why not.
 
     Args:
-        registry: Where both are.
-        name: Of the models.
-        which: `challenger` or a version.
-        sources: Recordings neither was fitted to.
-        criteria: Every one has to be met on every source.
-        unless_worse: Promote also if the difference is not significant and not for the worse.
-        reason: Why the version was made; put before what the comparison says.
-        earlier: Recordings of earlier days, one each, since when the robot has not changed: the
-            challenger has to err less over all of these days, too.
+        registry: Registry that contains the version and the champion.
+        name: Name of the model.
+        which: Version to compare: `challenger` or a version number.
+        sources: Recordings to which neither the version nor the champion was fitted.
+        criteria: Criteria that the version must meet on every source.
+        unless_worse: Flag; if true, the version is also promoted if the difference is not
+            significant and not to its disadvantage.
+        reason: Reason for which the version was created; the log entry begins with this reason,
+            followed by the result of the comparison.
+        earlier: Recordings of earlier days, one per day; the robot must not have changed since
+            these days. The challenger must also have the smaller error over all days together.
 
     Raises:
         DataError: A source cannot be read, or one of the models was fitted to it.
-        RegistryError: A version is missing or damaged, the data are too short, or another version
-            became champion meanwhile.
+        RegistryError: The version is missing or damaged, the data are too short, or a different
+            version became champion meanwhile.
     """
     version = registry.version(name, which)
     model = registry.load(name, version.label)
@@ -129,9 +134,11 @@ def challenge(
     if good and comparison is not None and earlier:
         days = over_days(old, model, [sources, *([source] for source in earlier)])
         good = days.less
-        words += f", {days.words}" if good else f", but {days.words}: the robot is as it was"
+        words += (
+            f", {days.words}" if good else f", but {days.words}, although the robot is unchanged"
+        )
     if good and version.number == number:
-        words = "it was so before"
+        words = "it was champion already"
     reason = f"{reason}: {words}" if reason else words
     decision = Decision(version, champion, good, reason, comparison, verdicts, days)
     evidence = decision.evidence
@@ -145,12 +152,12 @@ def challenge(
 def _decide(
     comparison: Comparison | None, verdicts: Sequence[Verdict], unless_worse: bool
 ) -> tuple[bool, str]:
-    """Return whether the challenger is to be promoted, and why."""
+    """Return whether the challenger is promoted, and the reason."""
     missed = [row for verdict in verdicts for row in verdict.rows if not row.passed]
     if missed:
         row = missed[0]
         limit = f"{row.criterion.metric} of {row.what} is {row.value:.4g}"
-        words = f"{len(missed)} criteria are missed: {limit}, at most {row.criterion.max:g}"
+        words = f"{len(missed)} criteria are not met: {limit}, at most {row.criterion.max:g}"
         return False, words
     if comparison is None:
         return True, "there is no other champion"
@@ -159,45 +166,54 @@ def _decide(
 
 
 def require_promoted(decision: Decision) -> None:
-    """Raise if a challenger was not promoted, for command lines: a bad result, not a broken rig.
+    """Raise `Rejected` if a challenger was not promoted, for command lines.
+
+    `Rejected` reports a negative result of the comparison, whereas other errors report a failure.
 
     Raises:
-        Rejected: It was not.
+        Rejected: The challenger was not promoted.
     """
     if not decision.promoted:
-        stays = decision.instead_of.label if decision.instead_of else "no champion"
+        old = decision.instead_of
+        stays = f"{old.label} stays champion" if old else "there is no champion yet"
         raise Rejected(
-            f"{decision.version.name} {decision.version.label} is not promoted, {stays} stays: "
+            f"{decision.version.name} {decision.version.label} is not promoted, {stays}: "
             f"{decision.reason}",
-            hint="it stays in the registry; compare it on more data with: hil models compare",
+            hint="it stays in the registry; compare it on more data: hil models compare",
         )
 
 
 SURE = 0.95
 
 WORST_JOINT = 1.25
-"""A joint whose RMSE grows by more than this factor keeps the champion, significant or not: there
-may be too few data for significance."""
+"""Maximum allowed ratio of the challenger's to the champion's RMSE in a joint, whether the increase
+is significant or not. Above the maximum allowed ratio of a joint the champion stays, because the
+data may be too few to show significance.
+"""
 
 NOTICED = 1.05
-"""A joint whose RMSE grows by more than this factor keeps the champion if that is significant."""
+"""Maximum allowed ratio of the challenger's to the champion's RMSE in a joint if the increase is
+significant. Above the maximum ratio for a significant increase the champion stays.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """Two models on the same rows.
+    """Comparison of two models on the same samples.
 
     Attributes:
-        unit: Of the errors.
-        joint_names: Length n.
-        sources: What they were compared on.
-        samples: Number of rows.
-        blocks: Number of blocks of time, at distinct places of the motions.
-        champion, challenger: (n,) RMSE against the filtered effort.
-        difference: Mean over joints and blocks of the squared error's difference, as a share of the
-            champion's squared error; negative where the challenger errs less.
-        interval: 95 % interval of `difference`.
-        surely_more: (n,) whether a joint errs more, with 95 % for all joints together.
+        unit: Unit of the prediction errors.
+        joint_names: Names of the n joints.
+        sources: Data sources of the samples.
+        samples: Number of compared samples.
+        blocks: Number of time blocks, each at a distinct place of the motions.
+        champion, challenger: (n,) RMSE of each model with respect to the filtered effort.
+        difference: Squared error of the challenger minus that of the champion, as a share of the
+            champion's squared error; mean over joints and blocks. `difference` is negative if the
+            challenger has the smaller error.
+        interval: 95 % confidence interval of `difference`.
+        surely_more: (n,) flags; true if the challenger's error in a joint is larger, with 95 %
+            confidence for all joints together.
     """
 
     unit: str
@@ -213,49 +229,51 @@ class Comparison:
 
     @property
     def better(self) -> bool:
-        """Whether the challenger errs significantly less, and in no joint much more."""
+        """Whether the challenger's error is significantly smaller, and much larger in no joint."""
         return self.interval[1] < 0.0 and not bool(np.any(self.spoilt))
 
     @property
     def worse(self) -> bool:
-        """Whether the challenger errs more, significantly or not: it is never promoted then."""
+        """Whether the challenger's error is larger, significantly or not; excludes a promotion."""
         return self.difference > 0.0 or bool(np.any(self.spoilt))
 
     @property
     def spoilt(self) -> BoolArray:
-        """(n,) whether a joint errs so much more that the other joints do not make up for it."""
+        """Whether the error of each joint increases too much for a promotion, (n,)."""
         return (self.ratio > WORST_JOINT) | (self.surely_more & (self.ratio > NOTICED))
 
     @property
     def ratio(self) -> FloatArray:
-        """(n,) ratio of the challenger's RMSE to the champion's."""
+        """Ratio (n,) of the challenger's RMSE to the champion's RMSE."""
         return self.challenger / np.maximum(self.champion, np.finfo(np.float64).tiny)
 
     @property
     def words(self) -> str:
-        """The result in one sentence."""
+        """Result of the comparison in one sentence."""
         low, high = (100.0 * bound for bound in self.interval)
         spread = f"{100.0 * self.difference:+.1f} % squared error ({low:+.1f} … {high:+.1f})"
         if self.better:
-            return f"the challenger errs less: {spread}"
+            return f"the challenger's error is smaller: {spread}"
         if bool(np.any(self.spoilt)) and self.difference <= 0.0:
             j = int(np.argmax(np.where(self.spoilt, self.ratio, 0.0)))
-            joint = f"{self.joint_names[j]} errs {self.ratio[j]:.2f} times as much"
-            return f"{joint}, though in all {spread}"
-        return f"the challenger errs {'more' if self.worse else 'no less that is sure'}: {spread}"
+            joint = f"the error of {self.joint_names[j]} is {self.ratio[j]:.2f} times as large"
+            return f"{joint}, although in total {spread}"
+        if self.worse:
+            return f"the challenger's error is larger: {spread}"
+        return f"the challenger's error is not significantly smaller: {spread}"
 
     def __repr__(self) -> str:
         return f"<Comparison on {self.samples} samples: {self.words}>"
 
     def _repr_html_(self) -> str:
-        """Return the card for a notebook."""
-        badge: tuple[str, Tone] = ("not better for sure", "warn")
+        """Return the notebook card of the comparison."""
+        badge: tuple[str, Tone] = ("not significantly better", "warn")
         if self.better or self.worse:
             badge = ("better", "pass") if self.better else ("worse", "fail")
         rows = [
             (f"champion [{self.unit}]", *map(number, self.champion)),
             (f"challenger [{self.unit}]", *map(number, self.challenger)),
-            ("times as much", *(f"{one:.2f}" for one in self.ratio)),
+            ("ratio", *(f"{one:.2f}" for one in self.ratio)),
         ]
         facts = {"samples": f"{self.samples:,}", "blocks of time": self.blocks}
         head = ("RMSE", *self.joint_names)
@@ -264,7 +282,7 @@ class Comparison:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form; part of the evidence of a promotion."""
+        """Return the comparison as a JSON object, which is part of the evidence of a promotion."""
         return {
             "unit": self.unit,
             "joint_names": list(self.joint_names),
@@ -285,25 +303,25 @@ class Comparison:
 def compare_sources(
     champion: RobotEstimator, challenger: RobotEstimator, sources: Sequence[Path]
 ) -> Comparison:
-    """Compare two models on recordings neither was fitted to.
+    """Compare two models on recordings to which neither model was fitted.
 
     Raises:
-        DataError: A source cannot be read, or one of them was fitted to it.
-        FitError: It holds nothing they work on.
-        RegistryError: They are of different joints or units, or the data are too short.
+        DataError: A source cannot be read, or one of the two models was fitted to it.
+        FitError: A source contains no data that are usable for the models.
+        RegistryError: The models have different joints or units, or the data are too short.
     """
     parts = unseen_parts((champion, challenger), sources)
     return compare(champion, challenger, parts, tuple(str(source) for source in sources))
 
 
 def unseen_parts(models: Sequence[RobotEstimator], sources: Sequence[Path]) -> list[Dataset]:
-    """Return the part of each source that the models work on and none was fitted to.
+    """Return the usable part of each source, to which none of the models was fitted.
 
-    From a run that one of the models was fitted to, these are the trajectories that were held out.
+    The usable part of a run to which one of the models was fitted is its hold-out set.
 
     Raises:
-        DataError: A source cannot be read, or one of the models was fitted to all of it.
-        FitError: It holds nothing the first of them works on.
+        DataError: A source cannot be read, or one of the models was fitted to the whole source.
+        FitError: A source contains no data that are usable for the first model.
     """
     parts = []
     for source in sources:
@@ -311,13 +329,16 @@ def unseen_parts(models: Sequence[RobotEstimator], sources: Sequence[Path]) -> l
         if len(fresh := fresh_part(models, data)):
             data = fresh
         for model in models:
-            require_unseen(model, source, data)  # without a fresh part it says which model knows it
+            require_unseen(model, source, data)  # raises without an unseen part
         parts.append(data)
     return parts
 
 
 def fresh_part(models: Sequence[RobotEstimator], data: Dataset) -> Dataset:
-    """Return the series that no model was fitted to: whole ones, as their samples are alike."""
+    """Return the series of a dataset to which no model was fitted.
+
+    Only whole series are returned, because the samples of one series are correlated.
+    """
 
     def is_known(series: Dataset) -> bool:
         return any(seen_share(model, series) > SAME_SHARE for model in models)
@@ -326,7 +347,9 @@ def fresh_part(models: Sequence[RobotEstimator], data: Dataset) -> Dataset:
 
 
 BLOCK_S = 5.0
-"""Duration that counts as one observation: errors stay alike for about as long [s]."""
+"""Duration of a block that counts as one observation [s]; prediction errors are correlated for
+about this time.
+"""
 
 FEWEST_BLOCKS = 4
 
@@ -337,11 +360,11 @@ def compare(
     parts: Sequence[Dataset],
     sources: tuple[str, ...] = (),
 ) -> Comparison:
-    """Compare two models on datasets; the caller has made sure that neither was fitted to them.
+    """Compare two models on datasets; the caller must ensure that neither model was fitted to them.
 
     Raises:
-        DataError: They are not of the models' robot.
-        RegistryError: As `compare_sources`.
+        DataError: The datasets belong to a different robot than the two models.
+        RegistryError: The models have different joints or units, or the data are too short.
     """
     _require_alike(champion, challenger)
     errors = [_squared(champion, challenger, data) for data in parts]
@@ -350,13 +373,13 @@ def compare(
     )
     if len(means) < FEWEST_BLOCKS:
         raise RegistryError(
-            f"there are only {len(means)} distinct blocks of {BLOCK_S:.0f} s to compare on",
-            hint=f"give recordings of different motions, {FEWEST_BLOCKS * BLOCK_S:.0f} s at least",
+            f"only {len(means)} distinct blocks of {BLOCK_S:.0f} s are available for comparison",
+            hint=f"give recordings of different motions, at least {FEWEST_BLOCKS * BLOCK_S:.0f} s",
         )
     both = np.concatenate([np.stack(pair, axis=1) for pair in errors])
     old, new = np.sqrt(np.nanmean(both, axis=0))
     shares = (means[:, 1] - means[:, 0]) / np.maximum(old, np.finfo(float).tiny) ** 2
-    # One-sided per joint and shared among the joints (Bonferroni), hence 2 and the division.
+    # One-sided test, hence the factor 2; all joints share the level (Bonferroni).
     each, margin = _interval(shares, 1.0 - 2.0 * (1.0 - SURE) / shares.shape[1])
     centre, half = (float(one[0]) for one in _interval(shares.mean(axis=1, keepdims=True), SURE))
     data = parts[0]
@@ -371,16 +394,16 @@ def _require_alike(champion: RobotEstimator, challenger: RobotEstimator) -> None
         old, new = getattr(champion, what), getattr(challenger, what)
         if old != new:
             raise RegistryError(
-                f"the champion's {what.strip('_').replace('_', ' ')} are {old}, "
-                f"the challenger's {new}",
-                hint="models of different robots belong under different names",
+                f"champion and challenger differ in {what.strip('_').replace('_', ' ')}: "
+                f"{old} and {new}",
+                hint="register models of different robots under different names",
             )
 
 
 def _squared(
     champion: RobotEstimator, challenger: RobotEstimator, data: Dataset
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the squared errors of both, (N, n) each; NaN where one of them predicts nothing."""
+    """Return the squared errors of the two models, (N, n) each; NaN if one has no prediction."""
     measured = filtered_effort(data)
     predictions = [model.predict(data) for model in (champion, challenger)]
     known = predictions[0].valid & predictions[1].valid & np.isfinite(measured)
@@ -389,7 +412,7 @@ def _squared(
 
 
 def _interval(shares: FloatArray, sure: float) -> tuple[FloatArray, FloatArray]:
-    """Return the mean of blocks (B, m), and half the width of its interval: (m,) each."""
+    """Return the mean of blocks (B, m) and the half-width of its confidence interval, (m,) each."""
     count = len(shares)
     half = (
         student_quantile(0.5 + sure / 2, count - 1)
@@ -402,9 +425,9 @@ def _interval(shares: FloatArray, sure: float) -> tuple[FloatArray, FloatArray]:
 def blocks(
     data: Dataset, pair: tuple[FloatArray, FloatArray]
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield the (n,) mean position and the (2, n) mean squared errors of both models per block.
+    """Yield mean position (n,) and mean squared errors of the two models (2, n) for each block.
 
-    No block reaches over the end of a series.
+    No block extends beyond the end of a series.
     """
     for _, rows in data.slices():
         if rows.stop <= rows.start:
@@ -418,7 +441,11 @@ def blocks(
 
 
 def by_place(blocks: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
-    """Return the (B, 2, n) means of the blocks at each place, given position and errors of each."""
+    """Return the mean errors (B, 2, n) over all blocks at each place of the motion.
+
+    Args:
+        blocks: Mean position and mean squared errors of each block.
+    """
     places: list[FloatArray] = []
     errors_at: list[list[FloatArray]] = []
     for place, errors in blocks:
@@ -433,12 +460,13 @@ def by_place(blocks: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Days:
-    """Two models on the same days.
+    """Comparison of two models on the recordings of the same days.
 
     Attributes:
-        differences: (D,) difference of the squared error per day, as a share of the champion's;
-            negative where the challenger errs less.
-        interval: 95 % interval of their mean.
+        differences: (D,) squared error of the challenger minus that of the champion for each day,
+            as a share of the champion's squared error; negative if the challenger has the smaller
+            error.
+        interval: 95 % confidence interval of the mean difference.
     """
 
     differences: FloatArray
@@ -446,18 +474,18 @@ class Days:
 
     @property
     def less(self) -> bool:
-        """Whether the challenger errs less, by more than the choice of days explains."""
+        """Whether the challenger's error is smaller by more than the scatter between the days."""
         return self.interval[1] < 0.0
 
     @property
     def words(self) -> str:
-        """The result in a few words."""
+        """Result of the comparison over several days in a few words."""
         low, high = (100.0 * bound for bound in self.interval)
         spread = f"{100.0 * np.mean(self.differences):+.1f} % ({low:+.1f} … {high:+.1f})"
         return f"over {len(self.differences)} days {spread}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form; part of the evidence of a promotion."""
+        """Return the comparison over days as a JSON object, part of the evidence of a promotion."""
         return {
             "differences": self.differences.tolist(),
             "interval_95": list(self.interval),
@@ -468,16 +496,17 @@ class Days:
 def over_days(
     champion: RobotEstimator, challenger: RobotEstimator, days: Sequence[Sequence[Path]]
 ) -> Days:
-    """Compare two models day by day.
+    """Compare two models day by day on recordings of several days.
 
     Args:
-        champion: The model in use.
-        challenger: A model of the same joints and unit.
-        days: Two at least; the recordings of each day, which neither was fitted to.
+        champion: Model in use.
+        challenger: Model with the same joints and unit as the champion.
+        days: Recordings of each day, to which neither model was fitted; at least two days are
+            required.
 
     Raises:
-        DataError: A source cannot be read, or one of them was fitted to it.
-        FitError: It holds nothing they work on.
+        DataError: A source cannot be read, or one of the two models was fitted to it.
+        FitError: A source contains no data that are usable for the models.
     """
     differences = np.array([_difference(champion, challenger, sources) for sources in days])
     centre, half = (float(one[0]) for one in _interval(differences[:, None], SURE))
@@ -487,7 +516,7 @@ def over_days(
 def _difference(
     champion: RobotEstimator, challenger: RobotEstimator, sources: Sequence[Path]
 ) -> float:
-    """Return the difference of the squared error, the mean over joints and sources."""
+    """Return the relative difference of the squared errors, averaged over joints and sources."""
     shares = []
     for part in unseen_parts((champion, challenger), sources):
         old, new = (evaluate(one, part).total.rmse_filtered for one in (champion, challenger))

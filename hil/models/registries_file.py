@@ -1,8 +1,9 @@
-"""The file `RUNS/.registries`: which registries have models or probes of the runs in a folder.
+"""File `RUNS/.registries`: the registries with models or probes of the runs in a folder.
 
-A registry may be anywhere, and a run that a model came from must not be deleted because nothing
-named the registry. So a registry notes itself in the folder of runs: a path a line, as JSON text.
-The file only grows; a line is taken out by hand when its registry is gone for good.
+A registry may be in any folder, and the run of a registered model must not be deleted. Therefore
+each registry adds its path to a file in the folder of runs, one path per line, as JSON text. The
+`.registries` file is append-only. If a registry was deleted permanently, an operator must remove
+its line from the `.registries` file.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ _NOT_OURS = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 
 def note_registry(registry: Path, sources: Iterable[Path]) -> None:
-    """Note a registry in the folders of runs that its sources lie in.
+    """Add a registry to the `.registries` file of each folder of runs with a source of it.
 
-    A folder of runs that may not be written to is left as it is.
+    Folders of runs without write permission are skipped.
 
     Args:
-        registry: Folder of the models.
-        sources: Run directories, and files and folders in them; others are left out.
+        registry: Folder of the registry to add.
+        sources: Run directories, or files and folders in run directories; other paths are ignored.
 
     Raises:
-        RegistryError: It cannot be noted.
+        RegistryError: The `.registries` file cannot be written.
     """
     line = json.dumps(str(registry.resolve())).encode() + b"\n"
     for file in {root / FILE for source in sources if (root := _runs_of(source))}:
@@ -40,19 +41,19 @@ def note_registry(registry: Path, sources: Iterable[Path]) -> None:
             with file.open("ab+") as opened:
                 opened.seek(0)
                 if line not in opened.readlines():
-                    opened.write(line)  # appended, also if another process has added lines
+                    opened.write(line)  # append mode: other processes may write lines
                     opened.flush()
                     os.fsync(opened.fileno())
         except OSError as error:
             if error.errno not in _NOT_OURS:
                 raise RegistryError(
                     f"cannot write {file}: {error.strerror or error}",
-                    hint="see whether the folder may be written to and the disk has room",
+                    hint="check that the folder is writable and that the disk has space",
                 ) from error
 
 
 def _runs_of(source: Path) -> Path | None:
-    """Return the folder of runs that a source is in, as `RUNS/DAY/ROBOT/RUN/…`; else None."""
+    """Return the folder of runs `RUNS` of a source in `RUNS/DAY/ROBOT/RUN/…`, or None."""
     whole = source.resolve()
     run = next((one for one in (whole, *whole.parents) if (one / "start.json").is_file()), None)
     if run is None or len(run.parents) < 3:
@@ -64,17 +65,21 @@ def _runs_of(source: Path) -> Path | None:
 
 
 REGISTRY = Path("registry")
-"""Where the registry is by default: here, and beside a folder of runs."""
+"""Path of the default registry, relative to the current folder or to the parent of a folder of
+runs.
+"""
 
 
 def known_registries(runs: Path, named: Iterable[Path] = ()) -> list[Path]:
-    """Return every registry that may have models of runs of a folder.
+    """Return every registry that may contain models of the runs in a folder.
 
-    These are the named ones, $HIL_REGISTRY and those noted in the folder, whether they are there or
-    not, and the default ones that are there.
+    The returned list contains all registries in `named`, in $HIL_REGISTRY and in the `.registries`
+    file of the folder, whether they exist or not. The returned list also contains the default
+    registries, if they exist.
 
     Raises:
-        RegistryError: One that is noted is not there, or the note cannot be read.
+        RegistryError: A registry in the `.registries` file does not exist, or the file cannot be
+            read.
     """
     default = [place for place in (REGISTRY, runs.resolve().parent / REGISTRY) if place.exists()]
     variable = os.environ.get("HIL_REGISTRY")
@@ -83,10 +88,10 @@ def known_registries(runs: Path, named: Iterable[Path] = ()) -> list[Path]:
 
 
 def registries_of(runs: Path) -> list[Path]:
-    """Return the registries that are noted in a folder of runs.
+    """Return the registries in the `.registries` file of a folder of runs.
 
     Raises:
-        RegistryError: One of them is not there, or the file cannot be read.
+        RegistryError: One of the registries does not exist, or the file cannot be read.
     """
     file = runs / FILE
     try:
@@ -96,8 +101,8 @@ def registries_of(runs: Path) -> list[Path]:
         return []
     except (OSError, ValueError, TypeError) as error:
         raise RegistryError(
-            f"{file} does not say which registries know runs of this folder: {error}",
-            hint="a registry a line, in quotes; nothing is deleted before",
+            f"{file}, the list of registries with runs of this folder, cannot be read: {error}",
+            hint="write one registry per line, in quotes; nothing is deleted until then",
         ) from error
     for registry in registries:
         _require_models(registry, file)
@@ -110,6 +115,6 @@ def _require_models(registry: Path, file: Path) -> None:
         if any(registry.glob("*/v[0-9]*")):
             return
     raise RegistryError(
-        f"{file} names the registry {registry}, which is not there or has no models",
-        hint="bring it back; or take that line out, and give where it is now with --registry",
+        f"{file} names the registry {registry}, which does not exist or has no models",
+        hint="restore it; or remove that line, and give its present folder with --registry",
     )

@@ -1,7 +1,7 @@
-"""A version of a model: the folder `NAME/v0001/`, with the model's files and `version.json`.
+"""Version of a model: the folder `NAME/v0001/` with the model's files and `version.json`.
 
-The folder appears whole, by one rename, and its files are never written again; `version.json` has
-the digest of each, so that a changed file is found (`verify`).
+The folder of a version is created atomically by one rename, and its files are never written again.
+`version.json` contains the digest of each model file, so a changed file is detected (`verify`).
 """
 
 from __future__ import annotations
@@ -26,18 +26,19 @@ _FOLDER = re.compile(r"v(\d{4,})\Z")
 
 @dataclass(frozen=True, slots=True)
 class ModelVersion:
-    """One version.
+    """Version of a model.
 
     Attributes:
-        name: Name of the models it is one of.
-        number: From 1.
-        folder: A model folder, as `load_model_file` takes it.
-        digest: SHA-256 over the model's files: equal models have equal digests.
-        registered: When it was, UTC, ISO 8601.
-        by: User who registered it.
-        facts: Estimator, robot, serial number, training sources with their digests, run,
-            evaluation and provenance, as far as known.
-        files: Name → SHA-256 of every file of it but `version.json`.
+        name: Name of the model.
+        number: Number of the version, from 1.
+        folder: Folder of the model files, in the form that `load_model_file` reads.
+        digest: SHA-256 over the files of the model; identical models have identical digests.
+        registered: Time of the registration, UTC, ISO 8601.
+        by: User who registered the version.
+        facts: Origin of the model, as far as known: estimator, robot, serial number, training
+            sources with their digests, run, evaluation and provenance.
+        files: Mapping from the name of every file of the version, except `version.json`, to its
+            SHA-256.
     """
 
     name: str
@@ -51,14 +52,14 @@ class ModelVersion:
 
     @property
     def label(self) -> str:
-        """The number as people write it, such as `v3`."""
+        """Label of the version, such as `v3`."""
         return f"v{self.number}"
 
     def __repr__(self) -> str:
         return f"<ModelVersion {self.name} {self.label}: {self.facts.get('estimator', '')}>"
 
     def _repr_html_(self) -> str:
-        """Return the card for a notebook."""
+        """Return the notebook card of the version."""
         facts = {
             "estimator": self.facts.get("estimator"),
             "robot": self.facts.get("robot"),
@@ -70,14 +71,14 @@ class ModelVersion:
         return card("Model", f"{self.name} {self.label}", facts)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form: what `version.json` holds, and where it is."""
+        """Return the content of `version.json` and the folder as a JSON object."""
         return _document(self) | {"folder": str(self.folder)}
 
     def verify(self) -> None:
-        """Compare every file with its digest.
+        """Check every file of the version against its digest.
 
         Raises:
-            RegistryError: One is missing, damaged or was changed.
+            RegistryError: A file of the version is missing, unreadable or changed.
         """
         for name, digest in self.files.items():
             try:
@@ -85,7 +86,7 @@ class ModelVersion:
             except OSError as error:
                 raise self._damaged(f"{name} cannot be read: {error.strerror}") from error
             if now != digest:
-                raise self._damaged(f"{name} is not the file that was registered")
+                raise self._damaged(f"{name} was changed after its registration")
 
     def _damaged(self, what: str) -> RegistryError:
         return RegistryError(
@@ -95,14 +96,14 @@ class ModelVersion:
 
 
 def folder_of(home: Path, number: int) -> Path:
-    """Return the folder of a version."""
+    """Return the path of the folder of a version."""
     return home / f"v{number:04d}"
 
 
 def numbers_in(home: Path) -> list[int]:
-    """Return the numbers of the versions that are there, in order.
+    """Return the numbers of the existing versions of a name, in ascending order.
 
-    A folder that a crash has left unfinished has another name.
+    Version folders that a crash left unfinished have different names and are ignored.
     """
     if not home.is_dir():
         return []
@@ -111,10 +112,10 @@ def numbers_in(home: Path) -> list[int]:
 
 
 def read_version(home: Path, number: int) -> ModelVersion:
-    """Return a version.
+    """Read a version from its folder.
 
     Raises:
-        RegistryError: It is not there, or damaged.
+        RegistryError: The version does not exist, or it is damaged.
     """
     path = folder_of(home, number) / VERSION_FILE
     try:
@@ -133,7 +134,8 @@ def read_version(home: Path, number: int) -> ModelVersion:
         )
     except FileNotFoundError as error:
         raise RegistryError(
-            f"{home.name} has no version {number}", hint=f"see them with: hil models {home.name}"
+            f"{home.name} has no version {number}",
+            hint=f"see its versions: hil models show {home.name}",
         ) from error
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise RegistryError(
@@ -142,10 +144,10 @@ def read_version(home: Path, number: int) -> ModelVersion:
 
 
 def write_version(home: Path, version: ModelVersion, files: Mapping[str, bytes]) -> None:
-    """Make a version's folder: it is there with everything in it, or not at all.
+    """Create the folder of a version, with all its files, atomically.
 
     Raises:
-        RegistryError: It cannot be written.
+        RegistryError: The folder of the version cannot be written.
     """
     draft = home / f".{version.folder.name}.{os.getpid()}"
     try:
@@ -161,14 +163,14 @@ def write_version(home: Path, version: ModelVersion, files: Mapping[str, bytes])
     except OSError as error:
         raise RegistryError(
             f"cannot write {version.folder}: {error.strerror}",
-            hint="see whether the folder may be written to and the disk has room",
+            hint="check that the folder is writable and that the disk has space",
         ) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
 
 
 def digest_of(files: Mapping[str, bytes]) -> str:
-    """Return the SHA-256 over names and contents, in the order of the names."""
+    """Return the SHA-256 over names and contents of files, in the order of the names."""
     whole = hashlib.sha256()
     for name in sorted(files):
         whole.update(f"{name} {hashlib.sha256(files[name]).hexdigest()}\n".encode())

@@ -1,7 +1,7 @@
-"""Networks: Levenberg-Marquardt MLPs, Lagrangian networks, residual networks and their training.
+"""Networks: Levenberg–Marquardt MLPs, Lagrangian networks, residual networks and their training.
 
-They are estimators as those of `hil.estimators`; torch is imported in the modules that compute
-with it.
+All networks are estimators with the interface of `hil.estimators`. Only the modules that compute
+with torch import torch.
 """
 
 import lazy_loader

@@ -1,8 +1,8 @@
-"""A training on disk: `checkpoint.json` says where it stands, a safetensors file the tensors.
+"""Checkpoints of a network training: `checkpoint.json` with the progress, and a safetensors file.
 
-The JSON names its tensors' file and the file's digest, and is replaced in one step, so a crash
-leaves the checkpoint before or the one after. A training that is taken up again ends with the
-same bits as one that was never interrupted.
+The JSON document contains the name and the digest of the tensor file; each write replaces the
+document atomically. A crash during a write therefore leaves either the previous or the new
+checkpoint. A resumed training ends with the same bits as an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ FORMAT = 2
 FILE = "checkpoint.json"
 
 EVERY = 10.0
-"""Seconds between writes; an interrupt and the end of the training write as well."""
+"""Minimum time [s] between two writes; an interrupt and the end of a training write in any case."""
 
 SAME = 1e-3
-"""Relative difference up to which two machines' rounding explains an error before training."""
+"""Largest relative difference of an untrained network's error that rounding can explain."""
 
 State = dict[str, torch.Tensor]
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """All of a training after an epoch.
+    """Complete state of a training after an epoch.
 
     Attributes:
-        tensors: Groups of tensors by name: weights, best, Adam's moments, random numbers.
-        facts: Stage, epoch, curves.
+        tensors: Groups of tensors by name: weights, best weights, Adam's moments, random states.
+        facts: JSON values of the training state: stage, epoch and learning curves.
     """
 
     tensors: Mapping[str, State]
@@ -48,16 +48,18 @@ class Snapshot:
 _GARBLED = (
     OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError,
 )  # fmt: skip
-"""What reading a damaged document may end with."""
+"""Exceptions that can occur when a damaged checkpoint document is read."""
 
 
 class Checkpoints:
     """Checkpoints of one training in a folder.
 
     Args:
-        folder: Made when there is none; nothing else should be in it.
-        training: What makes this training another than others: settings, stages, sizes.
-        start: Errors before the first step, by name: they tell other data from these.
+        folder: Folder of the checkpoints, which is created if it does not exist; the folder should
+            contain no other files.
+        training: Identity of the training: settings, stages and sizes.
+        start: Errors of the untrained network, by name; a different value at resumption reveals
+            that the data have changed.
     """
 
     def __init__(
@@ -70,10 +72,11 @@ class Checkpoints:
         self._written = time.monotonic()
 
     def read(self) -> Snapshot | None:
-        """What the folder holds; None when it is empty or not there.
+        """Return the stored snapshot; None if the folder contains no checkpoint.
 
         Raises:
-            CheckpointRefused: It is of another training or version of hil, or damaged.
+            CheckpointRefused: The checkpoint is damaged, or belongs to a different training or to a
+                different version of hil.
         """
         from safetensors import SafetensorError
 
@@ -85,21 +88,21 @@ class Checkpoints:
             self._require_format(found["hil_checkpoint"])
             self._require_same(found["training"], found["start"])
             if _digest(found["facts"]) != found["facts_sha256"]:
-                raise ValueError("its facts are damaged")
+                raise ValueError("the stored state is damaged")
             return Snapshot(self._tensors(found), found["facts"])
         except (*_GARBLED, SafetensorError) as error:
             raise CheckpointRefused(
                 f"{path} cannot be read: {error}",
                 folder=self._folder,
-                hint="delete it to start this training anew",
+                hint="delete the folder to restart the training",
             ) from error
 
     @contextmanager
     def fitting(self) -> Iterator[None]:
-        """While what was read is taken over.
+        """Convert errors of the `with` block, which applies a snapshot, to `CheckpointRefused`.
 
         Raises:
-            CheckpointRefused: It is whole, but not of this network.
+            CheckpointRefused: The checkpoint is complete, but does not match the network.
         """
         try:
             yield
@@ -107,17 +110,17 @@ class Checkpoints:
             raise CheckpointRefused(
                 f"the checkpoint in {self._folder} does not fit the network: {error!s:.300}",
                 folder=self._folder,
-                hint="delete it to start this training anew",
+                hint="delete the folder to restart the training",
             ) from error
 
     def keep(self, snapshot: Snapshot, *, now: bool = False) -> None:
-        """Remember an epoch, and write it when the last write is long enough ago."""
+        """Store an epoch in memory, and write it if `EVERY` seconds have passed or `now` is set."""
         self._last = snapshot
         if now or time.monotonic() - self._written >= EVERY:
             self.write()
 
     def write(self) -> None:
-        """Write the epoch remembered last, if any.
+        """Write the epoch that was last passed to `keep`, if there is one.
 
         Raises:
             DataError: The folder cannot be written to.
@@ -129,7 +132,7 @@ class Checkpoints:
         except OSError as error:
             raise DataError(
                 f"no checkpoint can be written in {self._folder}: {error.strerror}",
-                hint="name another folder, or make room",
+                hint="choose a different folder, or free disk space",
             ) from error
         self._last, self._written = None, time.monotonic()
 
@@ -176,10 +179,10 @@ class Checkpoints:
     def _require_format(self, version: object) -> None:
         if version != FORMAT:
             raise CheckpointRefused(
-                f"{self._folder} holds a checkpoint written by another version of hil: format "
-                f"{_short(version)}, known here {FORMAT}",
+                f"{self._folder} contains a checkpoint of a different version of hil: format "
+                f"{_short(version)}, supported: {FORMAT}",
                 folder=self._folder,
-                hint="delete it to start this training anew, or go on with that version of hil",
+                hint="delete the folder to restart the training, or use that version of hil",
             )
 
     def _require_same(self, training: Mapping[str, Any], start: Mapping[str, float]) -> None:
@@ -194,14 +197,19 @@ class Checkpoints:
         ]
         if differing:
             raise CheckpointRefused(
-                f"{self._folder} holds the checkpoint of another training: {'; '.join(differing)}",
+                f"{self._folder} contains the checkpoint of a different training: "
+                f"{'; '.join(differing)}",
                 folder=self._folder,
-                hint="name another folder for this training, or go on with what the other had",
+                hint="choose a different folder for this training, or use the data and settings "
+                "of the stored one",
             )
 
 
 def _digest(facts: Mapping[str, Any]) -> str:
-    """Of the facts as JSON: one digit of a learning curve decides where a training ends."""
+    """Return the digest of the facts as JSON, which includes every digit of the learning curves.
+
+    Learning curves decide when a training ends, so every digit of the learning curves matters.
+    """
     return hashlib.sha256(json_document(facts)).hexdigest()
 
 

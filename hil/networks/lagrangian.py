@@ -1,19 +1,22 @@
-"""A network that learns M(q) and V(q) and answers with torque by Euler and Lagrange (paper eq. 8).
+"""Lagrangian network: torque from a learned M(q) and V(q) by the Euler–Lagrange equation (eq. 8).
 
-With T = ½ q̇ᵀM q̇, M = LLᵀ, u = Lᵀq̇ and a dot for the rate along the motion
+Equation numbers in this module refer to the PINN paper. With T = ½ q̇ᵀM q̇, M = LLᵀ, u = Lᵀq̇ and a
+dot for the rate of change along the motion, the torque is:
 
     τ = d/dt(M q̇) − ∂(T − V)/∂q,   d/dt(M q̇) = L̇u + L(L̇ᵀq̇ + Lᵀq̈),   ∂T/∂L = q̇uᵀ.
 
-No derivative is left to autograd. A pass forwards through the layers (`Trunk.along`) gives the
-value and its rate along the motion, hence L̇; a pass backwards (`Trunk.pull_back`) gives the
-gradient by q: three chains of matrix products. They are matrix products and elementwise functions,
-which autograd can then differentiate by the weights, and exporters can write down. DeLaN (Lutter
-2019; paper eq. 11–14) multiplies Jacobians layer by layer instead, n tangents at once, and makes
-∂M/∂q of it.
+The code computes all derivatives by q explicitly, without autograd. A forward pass through the
+layers (`Trunk.along`) returns the raw outputs and their rates of change along the motion, and hence
+L̇. A backward pass through the layers (`Trunk.pull_back`) returns the gradient of a scalar by q.
+The forward pass and the backward pass consist of matrix products and elementwise functions, so
+autograd can differentiate them by the weights and exporters can write them as code. DeLaN (Lutter
+2019; eq. 11–14) instead multiplies Jacobians layer by layer, with n tangents at once, and computes
+∂M/∂q from the product.
 
-In the order of the file: `LagrangianNetwork` with its layers (`Trunk`) and the Cholesky factor of M
-(`Factor`); `NetworkModel`, which adds friction (eq. 19); the network from stored weights; what a
-trained network predicts; and its training. The module imports torch: import it inside functions.
+The module contains, in this order: `LagrangianNetwork` with its layers (`Trunk`) and the Cholesky
+factor of M (`Factor`); `NetworkModel`, which adds friction (eq. 19); the construction of a network
+from stored weights; the prediction with a trained network; the training. This module imports torch,
+so other modules must import this module only inside functions.
 """
 
 from __future__ import annotations
@@ -40,16 +43,18 @@ from hil.networks.training_loop import Loss, reproducible, torch_device, torch_d
 
 
 class LagrangianNetwork(nn.Module):
-    """M(q), C(q, q̇)q̇ and g(q) of one network with two heads.
+    """Network with two heads, which together yield M(q), C(q, q̇)q̇ and g(q).
 
-    The state dict holds the weights only; scales are given anew whenever one is built.
+    The state dict contains only the weights; the torque scales must be passed again on
+    construction.
 
     Args:
-        n: Joints.
-        settings: Structure and start.
-        torque_scale: (n,) typical torque of each joint [N·m], such as its standard deviation; 1
-            without.
-        seed: Of the first weights; the global generator is left alone.
+        n: Number of joints.
+        settings: Structure and start weights of the network.
+        torque_scale: (n,) typical torque of each joint [N·m], such as its standard deviation; None
+            means 1 N·m.
+        seed: Seed of the start weights; the construction does not change the global random
+            generator of torch.
 
     Raises:
         SpecError: The torque scales are not n numbers above zero.
@@ -76,7 +81,7 @@ class LagrangianNetwork(nn.Module):
         self.register_buffer("gravity_unit", gravity_unit, persistent=False)
 
     def forward(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Torque (B, n) [N·m] at q [rad], q̇ [rad/s] and q̈ [rad/s²], each (B, n)."""
+        """Return torque (B, n) [N·m] at q [rad], q̇ [rad/s] and q̈ [rad/s²], each (B, n)."""
         at = self._along(q, qd)
         turned = times(at.factor.mT, qdd) + times(at.rate.mT, qd)
         pushed = times(at.rate, at.turned) + self.factor.momentum(at.factor, turned, qdd)
@@ -87,7 +92,7 @@ class LagrangianNetwork(nn.Module):
         return pushed - self.trunk.pull_back(both, at.tape)
 
     def parts(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Parts:
-        """The terms of the torque, apart; the same arguments."""
+        """Return the terms of the torque separately, for the same arguments as `forward`."""
         at = self._along(q, qd)
         inertia = self.factor.momentum(at.factor, times(at.factor.mT, qdd), qdd)
         stirred = times(at.rate, at.turned) + times(at.factor, times(at.rate.mT, qd))
@@ -97,7 +102,7 @@ class LagrangianNetwork(nn.Module):
         return Parts(self.factor.mass(at.factor), inertia, coriolis, gravity)
 
     def mass(self, q: Tensor) -> Tensor:
-        """M(q) (B, n, n), symmetric and positive definite [kg·m²]."""
+        """Return M(q) (B, n, n) [kg·m²], symmetric and positive definite."""
         return self.factor.mass(self.factor(self.trunk(q)))
 
     def _along(self, q: Tensor, qd: Tensor) -> _Motion:
@@ -106,12 +111,15 @@ class LagrangianNetwork(nn.Module):
         return _Motion(raw, tape, factor, rate, slope, times(factor.mT, qd))
 
     def _by_kinetic(self, at: _Motion, qd: Tensor) -> Tensor:
-        """Gradient of T by the raw entries of L; what epsilon adds to M does not depend on q."""
+        """Return the gradient of the kinetic energy T by the raw entries of L.
+
+        The epsilon that is added to M does not depend on q and has no gradient.
+        """
         return self.factor.pull_back(qd.unsqueeze(-1) * at.turned.unsqueeze(-2), at.slope)
 
     def _by_potential(self, at: _Motion) -> Tensor:
-        """Gradient of −V by its raw output."""
-        # Ones of the same shape would ask for it at run time, which small targets cannot answer.
+        """Return the gradient of −V by the raw output of the potential."""
+        # torch.ones_like would need the shape at run time; small export targets do not support it.
         return 0.0 * at.raw[..., -1:] - self.gravity_unit
 
     def _uphill(self, at: _Motion, kinetic: Tensor) -> Tensor:
@@ -123,7 +131,7 @@ class LagrangianNetwork(nn.Module):
 
 
 class Parts(NamedTuple):
-    """The terms of the inverse dynamics; the last three add up to the torque.
+    """Terms of the inverse dynamics; inertia, coriolis and gravity add up to the torque.
 
     Attributes:
         mass: M(q) (B, n, n) [kg·m²].
@@ -139,7 +147,7 @@ class Parts(NamedTuple):
 
 
 class _Motion(NamedTuple):
-    """What the torque is made of: raw outputs, tape, L, L̇, slopes of L's diagonal, u = Lᵀq̇."""
+    """Intermediate results: raw outputs, tape, L, L̇, slopes of the diagonal of L, u = Lᵀq̇."""
 
     raw: Tensor
     tape: Tape
@@ -150,22 +158,23 @@ class _Motion(NamedTuple):
 
 
 def _unit(n: int, torque_scale: Sequence[float] | FloatArray | None, *, scaled: bool) -> Tensor:
-    """(n,) typical torques, as torch's default type."""
+    """Return the typical torques (n,) [N·m] as a tensor of torch's default type."""
     given = np.ones(n) if torque_scale is None else np.asarray(torque_scale, dtype=np.float64)
     if given.shape != (n,) or not np.all(np.isfinite(given) & (given > 0.0)):
         raise SpecError(
             f"torque_scale is {given.tolist()!r}, but must be {n} numbers above zero",
-            hint="a joint whose torque never changes has no scale: leave it out, or give one",
+            hint="a joint with constant torque has no scale: leave the joint out, or set "
+            "torque_scale",
         )
     return torch.as_tensor(given if scaled else np.ones(n), dtype=torch.get_default_dtype())
 
 
 class Tape(NamedTuple):
-    """What the way back needs of the way there.
+    """Results of the forward pass through the layers that the backward pass needs.
 
     Attributes:
-        slopes: Of the activations of each hidden layer, each (B, units).
-        turns: cos q and sin q (B, n) each; empty with raw q.
+        slopes: Slopes of the activations of each hidden layer, each (B, units).
+        turns: cos q and sin q, each (B, n); empty if the network uses raw q.
     """
 
     slopes: tuple[Tensor, ...]
@@ -173,17 +182,19 @@ class Tape(NamedTuple):
 
 
 LINEAR_ABOVE = 40.0
-"""Where softplus is taken for the identity; in float64 it is there. torch's own 20 is not enough:
-value and slope would disagree by 2e-9."""
+"""Argument above which softplus is replaced by the identity; the replacement is exact in float64.
+
+torch's default limit of 20 is too low: the value of softplus and its slope would disagree by 2e-9.
+"""
 
 
 def softplus(total: Tensor) -> tuple[Tensor, Tensor]:
-    """log(1 + eˣ) and its slope."""
+    """Return log(1 + eˣ) and its slope."""
     return functional.softplus(total, 1.0, LINEAR_ABOVE), torch.sigmoid(total)
 
 
 def relu(total: Tensor) -> tuple[Tensor, Tensor]:
-    """max(x, 0) and its slope, 0 at 0."""
+    """Return max(x, 0) and its slope, which is 0 at x = 0."""
     value = functional.relu(total)
     return value, torch.sign(value)
 
@@ -205,17 +216,17 @@ ACTIVATIONS: dict[str, Callable[[Tensor], tuple[Tensor, Tensor]]] = {
     "tanh": _tanh,
     "silu": _silu,
 }
-"""Each gives value and slope."""
+"""Activation functions by name; each function returns the value and the slope."""
 
 
 class Trunk(nn.Module):
-    """q (B, n) to raw outputs (B, m).
+    """Layers of the network, from q (B, n) to raw outputs (B, m).
 
     Args:
-        n: Joints.
-        outputs: m.
-        settings: Layers, activation, features and first weights.
-        seed: Of the first weights.
+        n: Number of joints.
+        outputs: Number of raw outputs m.
+        settings: Layers, activation, features and start weights.
+        seed: Seed of the start weights.
     """
 
     def __init__(self, n: int, outputs: int, settings: NetworkSettings, seed: int) -> None:
@@ -231,14 +242,14 @@ class Trunk(nn.Module):
         self.last = _layer(widths[-2], outputs, settings.output_gain, settings.bias, random)
 
     def forward(self, q: Tensor) -> Tensor:
-        """Raw outputs (B, m)."""
+        """Return the raw outputs (B, m) for q (B, n)."""
         value = self._features(q)[0]
         for layer in self.layers:
             value, _ = self._activation(layer(value))
         return self._out(value)
 
     def along(self, q: Tensor, qd: Tensor) -> tuple[Tensor, Tensor, Tape]:
-        """Raw outputs (B, m), their rates of change when q moves with qd (B, m), and the tape."""
+        """Return raw outputs and their rates of change, both (B, m), and the tape."""
         value, turns = self._features(q)
         rate = torch.cat([-turns[1] * qd, turns[0] * qd], dim=-1) if turns else qd
         slopes = []
@@ -250,7 +261,12 @@ class Trunk(nn.Module):
         return self._out(value), functional.linear(rate, self.last.weight), tape
 
     def pull_back(self, cotangent: Tensor, tape: Tape) -> Tensor:
-        """Gradient by q (B, n) of what has this gradient (B, k) by the first k raw outputs."""
+        """Return the gradient of a scalar by q (B, n).
+
+        Args:
+            cotangent: Gradient (B, k) of the scalar by the first k raw outputs.
+            tape: Intermediate results of the forward pass through the layers.
+        """
         found = cotangent @ self.last.weight[: cotangent.shape[-1]]
         for layer, slope in zip(reversed(self.layers), reversed(tape.slopes), strict=True):
             found = (found * slope) @ layer.weight
@@ -270,7 +286,10 @@ class Trunk(nn.Module):
 
 
 def _layer(inputs: int, units: int, gain: float, bias: float, random: torch.Generator) -> nn.Linear:
-    """With first weights after Glorot (2010) from `random`; the global generator is left alone."""
+    """Return a linear layer with start weights after Glorot (2010), drawn from `random`.
+
+    The creation of the layer does not change the global random generator of torch.
+    """
     layer = nn.Linear(inputs, units, device="meta").to_empty(device="cpu")
     spread = gain * (2.0 / (inputs + units)) ** 0.5
     drawn = torch.randn((units, inputs), generator=random, dtype=torch.float64)
@@ -281,18 +300,19 @@ def _layer(inputs: int, units: int, gain: float, bias: float, random: torch.Gene
 
 
 class Factor(nn.Module):
-    """The first n(n+1)/2 raw outputs, diagonal first, as a lower triangular matrix.
+    """Lower triangular matrix L from n(n+1)/2 raw outputs, of which the first n are the diagonal.
 
-    Entries are put in their places by a product with a constant matrix, which every exporter
-    knows, and which gives each row its unit on the way.
+    A product with a constant matrix moves each entry to its position in L and multiplies the entry
+    by the unit of its row. Every exporter supports a product with a constant matrix.
 
     Args:
-        n: Joints.
-        settings: Of the diagonal, and epsilon.
-        unit: (n,) of the rows of L, in √(N·m s²).
+        n: Number of joints.
+        settings: Settings of the network, of which the activation of the diagonal and epsilon are
+            used.
+        unit: (n,) units of the rows of L, in √(N·m s²).
 
     Attributes:
-        entries: How many raw outputs it takes.
+        entries: Number of raw outputs that form L.
     """
 
     placement: Tensor
@@ -308,26 +328,26 @@ class Factor(nn.Module):
         self.register_buffer("placement", _placement(n, unit), persistent=False)
 
     def forward(self, raw: Tensor) -> Tensor:
-        """L (B, n, n)."""
+        """Return L (B, n, n)."""
         return self._placed(self._entries(raw)[0])
 
     def along(self, raw: Tensor, rate: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """L, its rate of change (B, n, n), and the slopes of the diagonal (B, n)."""
+        """Return L and its rate of change (B, n, n), and the slopes of its diagonal (B, n)."""
         entries, slope = self._entries(raw)
         rates = torch.cat([slope * rate[..., : self._n], rate[..., self._n : self.entries]], -1)
         return self._placed(entries), self._placed(rates), slope
 
     def pull_back(self, cotangent: Tensor, slope: Tensor) -> Tensor:
-        """Gradient (B, n(n+1)/2) by raw outputs of what has this gradient (B, n, n) by L."""
+        """Return the gradient (B, n(n+1)/2) by the raw outputs from the gradient (B, n, n) by L."""
         found = cotangent.flatten(-2) @ self.placement.mT
         return torch.cat([slope * found[..., : self._n], found[..., self._n :]], -1)
 
     def mass(self, factor: Tensor) -> Tensor:
-        """M (B, n, n) of L."""
+        """Return M (B, n, n) for L."""
         return factor @ factor.mT + self._added * torch.eye(self._n).to(factor)
 
     def momentum(self, factor: Tensor, turned: Tensor, velocity: Tensor) -> Tensor:
-        """M·v (B, n), from u = Lᵀv (B, n) and v, without making M."""
+        """Return M·v (B, n) from u = Lᵀv (B, n) and v, without computing M."""
         found = times(factor, turned)
         return found + self._added * velocity if self._added else found
 
@@ -341,7 +361,7 @@ class Factor(nn.Module):
 
 
 def _placement(n: int, unit: Tensor) -> Tensor:
-    """(n(n+1)/2, n²): entry to place, times the unit of its row."""
+    """Return the matrix (n(n+1)/2, n²) that places the entries of L and applies the row units."""
     rows, columns = torch.tril_indices(n, n, offset=-1)
     rows, columns = torch.cat([torch.arange(n), rows]), torch.cat([torch.arange(n), columns])
     found = torch.zeros(len(rows), n * n)
@@ -350,12 +370,12 @@ def _placement(n: int, unit: Tensor) -> Tensor:
 
 
 def times(matrix: Tensor, vector: Tensor) -> Tensor:
-    """A v (B, n) of matrices (B, n, n) and vectors (B, n)."""
+    """Return A·v (B, n) for matrices (B, n, n) and vectors (B, n)."""
     return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
 
 
 class Torques(NamedTuple):
-    """What the torque is made of, each (B, n) [N·m]; the four add up to it."""
+    """Parts of the torque, each (B, n) [N·m]; the sum of the parts is the torque."""
 
     inertia: Tensor
     coriolis: Tensor
@@ -364,12 +384,12 @@ class Torques(NamedTuple):
 
 
 class NetworkModel(nn.Module):
-    """Torque of a motion: M(q)·q̈ + C(q, q̇)·q̇ + g(q) + friction.
+    """Network that predicts the torque of a motion: M(q)·q̈ + C(q, q̇)·q̇ + g(q) + friction.
 
     Args:
-        design: Of both parts.
+        design: Design of the Lagrangian part and of the friction part.
         torque_std: (n,) standard deviation of each joint's torque [N·m].
-        seed: Of the first weights.
+        seed: Seed of the start weights.
     """
 
     def __init__(self, design: Design, torque_std: FloatArray, seed: int = 0) -> None:
@@ -379,18 +399,18 @@ class NetworkModel(nn.Module):
         self.friction = friction_network(design.kind, n, torque_std, design.friction, seed)
 
     def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, direction: Tensor) -> Tensor:
-        """(B, n) torque [N·m]."""
+        """Return the torque (B, n) [N·m]."""
         torque: Tensor = self.dynamics(q, qd, qdd) + self.friction(q, qd, direction)
         return torque
 
     def torques(self, q: Tensor, qd: Tensor, qdd: Tensor, direction: Tensor) -> Torques:
-        """The same, apart."""
+        """Return the parts of the torque (inertia, Coriolis, gravity, friction) separately."""
         parts = self.dynamics.parts(q, qd, qdd)
         friction = self.friction(q, qd, direction)
         return Torques(parts.inertia, parts.coriolis, parts.gravity, friction)
 
     def groups(self) -> dict[str, Sequence[nn.Parameter]]:
-        """Parameters by the part that a stage trains or freezes."""
+        """Return the parameters, grouped by the name of the part that a stage trains or freezes."""
         parts = {"dynamics": self.dynamics, "friction": self.friction}
         found = {name: tuple(part.parameters()) for name, part in parts.items()}
         return {name: parameters for name, parameters in found.items() if parameters}
@@ -400,10 +420,10 @@ Weights = Mapping[str, np.ndarray[Any, Any]]
 
 
 def network_of(design: Design, torque_std: FloatArray, weights: Weights) -> NetworkModel:
-    """The network with its weights, on the CPU and in their precision.
+    """Return the network with its stored weights, on the CPU and in the precision of the weights.
 
     Raises:
-        ValueError: Weights are missing, too many, of another shape or not finite.
+        ValueError: A weight is missing, superfluous, of a wrong shape or not finite.
     """
     _require_room(design, weights)
     module = NetworkModel(design, torque_std)
@@ -424,37 +444,43 @@ def network_of(design: Design, torque_std: FloatArray, weights: Weights) -> Netw
 
 
 def _require_room(design: Design, weights: Weights) -> None:
-    """Refuse a design far larger than its weights before it takes up memory."""
+    """Raise if the design needs more weights than are stored, before memory is allocated."""
     layers = [design.network.hidden]
     if design.kind in ("dissipative", "unconstrained"):
         layers.append(design.friction.hidden)
     needed = sum(sum(units) + sum(a * b for a, b in pairwise(units)) for units in layers)
     stored = sum(value.size for value in weights.values())
     if needed > stored:
-        raise ValueError(f"hidden: a network of at least {needed} weights, {stored} are stored")
+        raise ValueError(
+            f"hidden: the network needs at least {needed} weights, but {stored} are stored"
+        )
 
 
 def _require_alike(name: str, value: np.ndarray[Any, Any], wanted: np.ndarray[Any, Any]) -> None:
     if value.shape != wanted.shape:
-        raise ValueError(f"weights: {name} is {value.shape}, the network needs {wanted.shape}")
+        raise ValueError(
+            f"weights: {name} has the shape {value.shape}, but the network needs {wanted.shape}"
+        )
     if value.dtype.kind != wanted.dtype.kind:
-        raise ValueError(f"weights: {name} holds {value.dtype}, the network {wanted.dtype}")
-    # Whole numbers are places in a matrix: they follow from the design.
+        raise ValueError(
+            f"weights: {name} has the type {value.dtype}, but the network needs {wanted.dtype}"
+        )
+    # Integer buffers are matrix indices, which follow from the design.
     if wanted.dtype.kind == "i" and not np.array_equal(value, wanted):
-        raise ValueError(f"weights: {name} is not that of the network")
+        raise ValueError(f"weights: {name} does not match the network")
     if not np.all(np.isfinite(value)):
-        raise ValueError(f"weights: {name} holds values that are not finite")
+        raise ValueError(f"weights: {name} contains values that are not finite")
 
 
 AT_ONCE = 2048
-"""Rows in one pass; bounds memory, and more are not faster."""
+"""Number of rows per pass, which limits memory; a higher number would not be faster."""
 
 
 def torques(module: NetworkModel, *motion: FloatArray) -> dict[str, FloatArray]:
-    """Parts of the torque by name, each (N, n) [N·m].
+    """Return the parts of the torque by name, each (N, n) [N·m].
 
     Args:
-        module: On the CPU.
+        module: Network on the CPU.
         *motion: Position, velocity, acceleration and direction, each (N, n).
     """
     found = {name: np.empty(motion[0].shape) for name in Torques._fields}
@@ -468,14 +494,17 @@ def torques(module: NetworkModel, *motion: FloatArray) -> dict[str, FloatArray]:
 
 
 def steady_friction(module: NetworkModel, qd: FloatArray, direction: FloatArray) -> FloatArray:
-    """(N, n) friction [N·m] that asks for no position, at velocities and directions (N, n)."""
+    """Return friction (N, n) [N·m] at velocities and directions (N, n), evaluated at q = 0.
+
+    The returned curve is meaningful only for friction that does not depend on the position.
+    """
     with torch.inference_mode():
         parts = [_tensor(module, values) for values in (np.zeros_like(qd), qd, direction)]
         return np.asarray(module.friction(*parts).double().numpy())
 
 
 def mass_matrix(module: NetworkModel, q: FloatArray) -> FloatArray:
-    """M(q) (N, n, n) [kg·m²] at positions (N, n)."""
+    """Return M(q) (N, n, n) [kg·m²] at positions (N, n)."""
     with torch.inference_mode(), reproducible(torch.device("cpu"), 1):
         return np.asarray(module.dynamics.mass(_tensor(module, q)).double().numpy())
 
@@ -485,17 +514,18 @@ def _tensor(module: NetworkModel, values: FloatArray) -> torch.Tensor:
 
 
 LoadTorque = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
-"""Motion (1, n) → torque of the load (1, n) [N·m]."""
+"""Function from a motion, three arrays (1, n), to the torque of the load (1, n) [N·m]."""
 
 
 class NetworkStream:
-    """A network fed one sample at a time; Dahl's state, if it has one, goes along.
+    """Predictor for one sample at a time, which also updates Dahl's state if the network uses it.
 
     Args:
-        module: On the CPU.
-        width: Of the smooth sign [rad/s].
-        length: (n,) in which Dahl's state comes round [rad]; None for the smooth sign.
-        load: Torque of what is mounted; None without.
+        module: Network on the CPU.
+        width: Width of the smooth sign [rad/s].
+        length: (n,) characteristic length of Dahl's state [rad]; None if the direction is the
+            smooth sign.
+        load: Function that returns the torque of the mounted load; None without a load.
         scale: (n,) torque per unit of effort.
     """
 
@@ -512,10 +542,15 @@ class NetworkStream:
         self._memory = None if length is None else DahlMemory(length, [1.0])
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Predicted effort (n,) for one sample, each input (n,); qd of exactly 0 holds.
+        """Return the predicted effort (n,) for one sample.
+
+        Args:
+            q: (n,) position [rad].
+            qd: (n,) velocity [rad/s]; a velocity of exactly 0 leaves Dahl's state unchanged.
+            qdd: (n,) acceleration [rad/s²].
 
         Raises:
-            DataError: An input is not one number per joint.
+            DataError: An input does not have one number per joint.
         """
         motion = one_sample(len(self._scale), q, qd, qdd)
         direction = self._direction(motion[0], motion[1])
@@ -534,17 +569,18 @@ class NetworkStream:
 
 
 VALIDATED_AT_ONCE = 4096
-"""Rows of a validation pass; bounds memory."""
+"""Number of rows per validation pass, which limits memory."""
 
 
 class LagrangianProblem:
-    """A network and its rows, for `hil.networks.training_loop.train`.
+    """Training problem for `hil.networks.training_loop.train`: a network and its dataset rows.
 
     Args:
-        module: The network, on its device.
-        learn, validate: Rows on the same device.
-        loss: What is minimised on the one and what the training stops by on the other: errors over
-            each joint's standard deviation, or the paper's measure.
+        module: Network on the device on which it is trained.
+        learn, validate: Training rows and validation rows, on the same device as the network.
+        loss: Loss that is minimised on the training rows; the value of the loss on the validation
+            rows decides when the training stops. The loss uses prediction errors relative to each
+            joint's standard deviation, or is the error measure of the PINN paper.
     """
 
     def __init__(self, module: NetworkModel, learn: Rows, validate: Rows, loss: Loss) -> None:
@@ -553,16 +589,16 @@ class LagrangianProblem:
         self._learn, self._validate, self._loss = learn, validate, loss
 
     def groups(self) -> Mapping[str, Sequence[torch.nn.Parameter]]:
-        """`dynamics`, and `friction` where it has parameters."""
+        """Return the parameter groups: `dynamics` and, if friction has parameters, `friction`."""
         return self.module.groups()
 
     def loss(self, chosen: torch.Tensor) -> torch.Tensor:
-        """Mean loss of the chosen rows (B,)."""
+        """Return the mean loss of the rows whose numbers (B,) are passed."""
         rows = self._learn.take(chosen)
         return self._loss(self.module(*rows.motion), rows.torque)
 
     def validate(self) -> float:
-        """The same loss over the rows to stop by."""
+        """Return the mean loss over the validation rows."""
         total = 0.0
         for first in range(0, len(self._validate), VALIDATED_AT_ONCE):
             rows = self._validate.take(slice(first, first + VALIDATED_AT_ONCE))
@@ -571,10 +607,10 @@ class LagrangianProblem:
 
 
 def problem(task: Task, design: Design, training: TrainingSettings) -> LagrangianProblem:
-    """An untrained network with its rows in memory.
+    """Return a training problem with an untrained network and its rows in memory.
 
     Raises:
-        SpecError: There is no such device.
+        SpecError: torch does not have the requested device.
     """
     device, dtype = torch_device(training.device), torch_dtype(training.precision)
     module = NetworkModel(design, task.torque_std, training.seed).to(device, dtype)
@@ -587,11 +623,11 @@ def problem(task: Task, design: Design, training: TrainingSettings) -> Lagrangia
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """What a network sees of some rows, and the torque it should answer with.
+    """Network inputs of some dataset rows, and the torque that the network should predict.
 
     Attributes:
         motion: Position, velocity, acceleration and direction, each (N, n).
-        torque: (N, n) [N·m], without that of declared loads.
+        torque: (N, n) torque [N·m], without the torque of declared loads.
     """
 
     motion: tuple[torch.Tensor, ...]
@@ -601,7 +637,7 @@ class Rows:
         return len(self.torque)
 
     def take(self, chosen: torch.Tensor | slice) -> Rows:
-        """Those with the numbers (B,), or of a range."""
+        """Return the rows with the numbers (B,), or the rows of a slice."""
         return Rows(tuple(column[chosen] for column in self.motion), self.torque[chosen])
 
 
@@ -613,7 +649,7 @@ def tensor_rows(
     dtype: torch.dtype,
     device: torch.device,
 ) -> Rows:
-    """The wanted rows (N,) of a prepared dataset with the column `DIRECTION`."""
+    """Return the selected rows (N,) of a prepared dataset that has the column `DIRECTION`."""
 
     def tensor(values: FloatArray) -> torch.Tensor:
         return torch.as_tensor(np.ascontiguousarray(values[wanted]), dtype=dtype, device=device)
@@ -623,12 +659,12 @@ def tensor_rows(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trained:
-    """The trial that validates best.
+    """Result of the trial with the lowest validation error.
 
     Attributes:
-        weights: By name.
-        curves: Its learning curves.
-        notes: What became of all of them, where there were several.
+        weights: Weights and scales of the network by name.
+        curves: Learning curves of the trial.
+        notes: Notes with the results of all trials; empty if there was only one trial.
     """
 
     weights: dict[str, np.ndarray[Any, Any]]
@@ -644,19 +680,21 @@ def fit_network(
     watch: Watch | None = None,
     checkpoints: Path | None = None,
 ) -> Trained:
-    """Train once per trial, each from the same start; one that diverges loses.
+    """Train one network per trial from the same start weights; return the most accurate network.
+
+    Trials whose training diverges are discarded.
 
     Args:
-        task: Rows to learn from and to stop by.
-        design: What the network looks like.
-        stages: Of every trial.
-        trials: Settings; one is usual.
-        watch: Told every epoch.
-        checkpoints: Folder to keep the training in; each of several trials has one inside it.
+        task: Training and validation rows.
+        design: Design of the network.
+        stages: Stages of every trial.
+        trials: Training settings of each trial; usually the list has one entry.
+        watch: Function that is called with every epoch.
+        checkpoints: Folder for the checkpoints; if there are several trials, each gets a subfolder.
 
     Raises:
-        FitError: Every training diverges.
-        SpecError: There is no such device.
+        FitError: Every trial diverges.
+        SpecError: torch does not have the requested device.
     """
     if len(trials) == 1:
         return _trained(task, design, stages, trials[0], watch or unwatched, checkpoints)
@@ -701,5 +739,5 @@ def _rate(training: TrainingSettings) -> str:
 
 
 def weights_of(module: nn.Module) -> dict[str, np.ndarray[Any, Any]]:
-    """Every weight and scale by name."""
+    """Return all weights and scales of the network by name."""
     return {name: value.detach().cpu().numpy() for name, value in module.state_dict().items()}

@@ -1,12 +1,14 @@
-"""What a Lagrangian network learns: the torque of some rows, and a direction of friction for each.
+"""Training data of a Lagrangian network: torque of the arm and a friction direction per row.
 
-`Preparation.task` thins a filtered dataset, leaves out what is judged, subtracts the torque of
-declared loads, and deals the rest into rows to learn from and rows to stop by.
+`Preparation.task` downsamples a filtered dataset, removes the test rows, subtracts the torque of
+declared loads, and divides the remaining rows into training and validation rows.
 
-The direction is what friction takes for the sign of the motion: the smooth sign of the velocity, or
-a state with memory. A joint that turns round does not meet full friction at once (Dahl, 1968). The
-state, carried along the path at the recorded rate, replaces sign(q̇) in every friction law of a
-network; its one length per joint is found beforehand, by a line of linear fits.
+The friction direction replaces the sign of the velocity in the friction laws. The friction
+direction is either the smooth sign of the velocity or a state with memory (Dahl's state). After a
+joint reverses its direction, friction does not reach its full value at once (Dahl, 1968). Dahl's
+state is integrated along the path at the recorded rate and replaces sign(q̇) in every friction law
+of a network. Before the training, the characteristic length of Dahl's state is fitted per joint:
+linear fits for several lengths are compared.
 """
 
 from __future__ import annotations
@@ -29,25 +31,25 @@ from hil.dynamics import RobotModel, base_parameters
 from hil.estimators import CHUNK, dahl_states, path_steps, payload_torque
 
 DIRECTION = "direction"
-"""Column (N, n) of a dataset: the smooth sign of the motion, or Dahl's state."""
+"""Name of the dataset column (N, n) with the friction direction: smooth sign or Dahl's state."""
 
 ROW = "row"
-"""Column (N,) with the number of every row before some are left out."""
+"""Name of the dataset column (N,) with the row numbers from before rows were removed."""
 
 LEAST_STD_NM = 1e-3
-"""A joint whose torque hardly changes is learned as if it changed by so much."""
+"""Minimum standard deviation [N·m] that is assumed for a joint whose torque hardly changes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Preparation:
-    """How rows become a task.
+    """Settings with which a dataset is converted to a `Task`.
 
     Attributes:
-        filters: Say which rows are kept.
-        memory: Whether the direction is Dahl's state.
-        sign_width: Of the smooth sign [rad/s].
-        validation_share: Of the trajectories, to stop by.
-        seed: Of their draw.
+        filters: Filter settings, which also determine which rows are retained.
+        memory: Whether the friction direction is Dahl's state; otherwise the smooth sign is used.
+        sign_width: Width of the smooth sign [rad/s].
+        validation_share: Share of the trajectories used for early stopping.
+        seed: Seed for drawing the validation trajectories.
     """
 
     filters: FilterSettings
@@ -57,10 +59,10 @@ class Preparation:
     seed: int
 
     def task(self, data: Dataset, scale: FloatArray, robot: RobotModel) -> Task:
-        """The task that a prepared dataset with all its rows poses.
+        """Return the learning task of a prepared dataset that contains all its rows.
 
         Raises:
-            DataError: Nothing is left to learn from or to stop by.
+            DataError: No training rows or no validation rows are left.
         """
         kept = self._kept(data)
         learn, validate = training_and_validation(kept, self.validation_share, self.seed)
@@ -69,14 +71,14 @@ class Preparation:
         if self.memory:
             numbers = kept[ROW][learn].astype(np.int64)
             length = fitted_lengths(data, torque[learn], numbers, robot)
-        # Directions are carried along every row, kept or not.
+        # Dahl's state depends on the whole path, so the directions are computed for all rows.
         all_of_them = directions(data, self.sign_width, length)
         kept = kept.with_columns(**{DIRECTION: all_of_them[kept[ROW].astype(np.int64)]})
         std = np.maximum(np.std(torque[learn], axis=0), LEAST_STD_NM)
         return Task(kept, torque, learn, validate, std, length)
 
     def _kept(self, data: Dataset) -> Dataset:
-        """Thinned, and without what is judged."""
+        """Return the downsampled dataset without the test rows."""
         numbered = data.with_columns(**{ROW: np.arange(len(data), dtype=np.float64)})
         thinned = downsample(numbered, self.filters)
         return rows_of(thinned, rows_to_fit(thinned))
@@ -84,14 +86,15 @@ class Preparation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """What a network is to learn.
+    """Data from which a Lagrangian network learns.
 
     Attributes:
-        data: Prepared and thinned, with the column `DIRECTION`; nothing in it is judged.
-        torque: (N, n) of its rows [N·m], without that of declared loads.
-        learn, validate: (N,) rows to learn from and to stop by.
-        torque_std: (n,) of the rows to learn from [N·m].
-        length: (n,) of Dahl's state [rad]; None for the smooth sign.
+        data: Prepared and downsampled dataset with the column `DIRECTION`, without test rows.
+        torque: (N, n) torque of the rows [N·m], without the torque of declared loads.
+        learn, validate: (N,) masks of the training rows and of the validation rows.
+        torque_std: (n,) standard deviation of the torque of the training rows [N·m].
+        length: (n,) characteristic length of Dahl's state [rad]; None if the direction is the
+            smooth sign.
     """
 
     data: Dataset
@@ -103,33 +106,40 @@ class Task:
 
 
 def target(data: Dataset, scale: FloatArray, robot: RobotModel) -> FloatArray:
-    """(N, n) torque of the arm alone: measured, less that of declared loads [N·m]."""
+    """Return the torque (N, n) of the arm alone [N·m]: measured minus that of declared loads."""
     load = payload_torque(robot, data, *(data[name] for name in MOTION))
     return np.asarray(data["effort_f"] * scale - load)
 
 
 def directions(data: Dataset, width: float, length: FloatArray | None) -> FloatArray:
-    """(N, n) what friction takes for the sign of the motion, of every row of a prepared dataset."""
+    """Return the friction direction (N, n) of every row of a prepared dataset.
+
+    Args:
+        data: Prepared dataset with all rows.
+        width: Width of the smooth sign [rad/s], used if `length` is None.
+        length: (n,) characteristic length of Dahl's state [rad]; None selects the smooth sign.
+    """
     if length is None:
         return smooth_sign(data["qd_f"], width)
     return carried_directions(data, length)
 
 
 LENGTHS_RAD = np.geomspace(3e-5, 3e-2, 13)
-"""Lengths in which the state comes round that are tried: from microslip to the wind-up of gears."""
+"""Candidate lengths of Dahl's state [rad], from microslip to the wind-up of gears."""
 
 
 def smooth_sign(qd: FloatArray, width: float) -> FloatArray:
-    """tanh(qd/width), or the hard sign for a width of 0."""
+    """Return tanh(qd/width), or the sign of qd if the width is 0."""
     return np.asarray(np.sign(qd) if width == 0.0 else np.tanh(qd / width))
 
 
 def carried_directions(dataset: Dataset, length: FloatArray) -> FloatArray:
-    """(N, n) Dahl's state of every row; every series begins with 0.
+    """Return Dahl's state (N, n) of every row; the state is 0 at the start of every series.
 
     Args:
-        dataset: Prepared, with all rows: states follow the path between them.
-        length: (n,) in which the state comes round [rad].
+        dataset: Prepared dataset with all rows, because the state is integrated over all samples of
+            a path.
+        length: (n,) characteristic length of the state [rad].
     """
     steps = path_steps(dataset)
     states = np.zeros_like(steps)
@@ -142,16 +152,17 @@ def carried_directions(dataset: Dataset, length: FloatArray) -> FloatArray:
 def fitted_lengths(
     dataset: Dataset, torque: FloatArray, learn: IntArray, robot: RobotModel
 ) -> FloatArray:
-    """(n,) length per joint with which a linear model explains the torque best [rad].
+    """Return the length (n,) [rad] per joint with which a linear model explains the torque best.
 
-    Per length one linear fit of rigid body, state, velocity and offset. It only chooses the
-    length: nothing of it is handed to the network.
+    For each candidate length, a linear model with the columns rigid body, state, velocity and
+    offset is fitted. The linear fit only selects the length; the network does not use the
+    coefficients of the fit.
 
     Args:
-        dataset: Prepared, with all rows.
-        torque: (M, n) to be explained [N·m].
-        learn: (M,) numbers of the rows that it was measured in.
-        robot: Gives the rigid body's columns.
+        dataset: Prepared dataset with all rows.
+        torque: (M, n) torque to be explained by the linear model [N·m].
+        learn: (M,) numbers of the rows in which the torque was measured.
+        robot: Robot model that provides the rigid-body columns.
     """
     n = dataset.n_joints
     rigid, qd = _rigid_columns(dataset, learn, robot), dataset["qd_f"][learn]
@@ -167,7 +178,7 @@ def fitted_lengths(
 
 
 def _rigid_columns(dataset: Dataset, learn: IntArray, robot: RobotModel) -> FloatArray:
-    """(M, n, b) base regressor of the rows."""
+    """Return the base regressor (M, n, b) of the rows."""
     base = base_parameters(robot, rotor=True)
     motion = [dataset[name][learn] for name in MOTION]
     found = [
@@ -178,7 +189,7 @@ def _rigid_columns(dataset: Dataset, learn: IntArray, robot: RobotModel) -> Floa
 
 
 class _Explained:
-    """One joint's torque, less what the columns beside the state explain of it."""
+    """Torque of one joint minus the part that all columns except the state explain."""
 
     def __init__(self, columns: FloatArray, torque: FloatArray) -> None:
         length = np.linalg.norm(columns, axis=0)
@@ -186,7 +197,7 @@ class _Explained:
         self._torque = self._without(torque)
 
     def left_with(self, state: FloatArray) -> float:
-        """Sum of squares that is left when the state (M,) is a column too."""
+        """Return the residual sum of squares if the state (M,) is an additional column."""
         own = self._without(state)
         square = float(own @ own)
         explained = float(own @ self._torque) ** 2 / square if square > 0 else 0.0

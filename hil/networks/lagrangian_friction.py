@@ -1,9 +1,11 @@
-"""Joint friction as a part of a network, trained together with the Lagrangian network beside it.
+"""Joint friction models that are trained together with a Lagrangian network.
 
-Two laws have a few intrinsic parameters: Coulomb–viscous (eq. 3) and Stribeck (eq. 15–18). Both
-have the sign of `direction`: the caller decides whether it is memoryless (a smooth sign of the
-velocity) or has a hysteresis (Dahl's state). Two are networks of their own (Gupta et al., 2020):
-one that can only take power, and one without that constraint. `friction_network` makes them all.
+Two of the friction models are laws with a few intrinsic parameters: Coulomb–viscous (eq. 3) and
+Stribeck (eq. 15–18). The Coulomb–viscous law and the Stribeck law use the sign of `direction`. The
+caller passes a direction without memory (a smooth sign of the velocity) or a direction with
+hysteresis (Dahl's state). Two friction models are neural networks (Gupta et al., 2020):
+`dissipative` can only dissipate power, `unconstrained` can also generate power. The function
+`friction_network` creates any of the friction models.
 """
 
 from __future__ import annotations
@@ -23,16 +25,19 @@ from hil.networks.lagrangian_settings import FRICTIONS, FrictionKind, FrictionSe
 
 
 class FrictionNetwork(Protocol):
-    """What every friction of `friction_network` can do."""
+    """Common interface of all friction models that `friction_network` creates."""
 
     def __call__(self, q: Tensor, qd: Tensor, direction: Tensor) -> Tensor:
-        """(B, n) friction torque [N·m] at positions, velocities and directions (B, n)."""
+        """Return friction torque (B, n) [N·m] at positions, velocities and directions (B, n)."""
 
     def curve(self, speeds: FloatArray) -> FloatArray:
-        """(K, n) torque [N·m] of each joint at a steady speed (K, n) [rad/s], others at rest."""
+        """Return the torque (K, n) [N·m] of each joint at steady speeds (K, n) [rad/s].
+
+        For the torque of a joint, all other joints are assumed to be at standstill.
+        """
 
     def intrinsic(self) -> dict[str, FloatArray]:
-        """(n,) values of the parameters that mean something, by name."""
+        """Return the friction parameters that have a physical meaning, by name, each (n,)."""
 
 
 def friction_network(
@@ -42,17 +47,17 @@ def friction_network(
     settings: FrictionSettings | None = None,
     seed: int = 0,
 ) -> nn.Module:
-    """Friction of n joints, a `FrictionNetwork`.
+    """Return a friction model of n joints, which is a `FrictionNetwork`.
 
     Args:
         kind: One of `FRICTIONS`.
-        n: Joints.
+        n: Number of joints.
         torque_scale: (n,) standard deviation of each joint's torque [N·m].
-        settings: How it is parametrised.
-        seed: Of start weights, where there are any.
+        settings: Parametrisation of the friction; None means the default settings.
+        seed: Seed of the start weights of `dissipative` and `unconstrained` friction.
 
     Raises:
-        SpecError: There is no such kind.
+        SpecError: The friction kind is unknown.
     """
     choice("friction", kind, FRICTIONS)
     settings = settings or FrictionSettings()
@@ -67,21 +72,21 @@ def friction_network(
 
 
 LEAST_SPEED = 1e-6
-"""Slower than this [rad/s] counts as this: d|v|^α/dα = |v|^α·ln|v| is no number at rest."""
+"""Minimum of the speed |v| [rad/s], because d|v|^α/dα = |v|^α·ln|v| is undefined at v = 0."""
 
 LEAST_STRIBECK_SPEED = 1e-3
-"""v_s of free parameters comes no nearer to 0 than this [rad/s]."""
+"""Minimum of |v_s| [rad/s] if the parameters have no bounds."""
 
 LARGEST_EXPONENT = 20.0
-"""e to this is 5e8: larger powers than that count as that, in single precision too."""
+"""Maximum of the exponent of e in a power; e²⁰ ≈ 5e8 is finite in single precision too."""
 
 
 class CoulombViscous(nn.Module):
-    """f_c·direction + f_v·q̇ + offset (eq. 3; Lahoud et al., 2024).
+    """Friction law f_c·direction + f_v·q̇ + offset (eq. 3; Lahoud et al., 2024).
 
     Args:
-        units: (n,) of the coefficients [N·m].
-        settings: How they are parametrised.
+        units: (n,) units of the coefficients [N·m].
+        settings: Parametrisation of the coefficients: bounds, units and start values.
     """
 
     def __init__(self, units: FloatArray, settings: FrictionSettings) -> None:
@@ -91,29 +96,31 @@ class CoulombViscous(nn.Module):
         self.offset = Free(units, 0.0)
 
     def forward(self, q: Tensor, qd: Tensor, direction: Tensor) -> Tensor:
-        """(B, n) torque [N·m]."""
+        """Return the friction torque (B, n) [N·m]."""
         sign = torch.sign(qd) if self._hard else direction
         torque: Tensor = self.f_c() * sign + self.f_v() * qd + self.offset()
         return torque
 
     def curve(self, speeds: FloatArray) -> FloatArray:
-        """(K, n) torque [N·m] at steady speeds (K, n) [rad/s]."""
+        """Return the friction torque (K, n) [N·m] at steady speeds (K, n) [rad/s]."""
         return _steady(self, speeds)
 
     def intrinsic(self) -> dict[str, FloatArray]:
-        """f_c [N·m], f_v [N·m·s/rad] and offset [N·m], each (n,)."""
+        """Return the coefficients f_c [N·m], f_v [N·m·s/rad] and offset [N·m], each (n,)."""
         return _values(f_c=self.f_c, f_v=self.f_v, offset=self.offset)
 
 
 class Stribeck(nn.Module):
-    """direction·[λ·f_s + (1 − λ)·f_c + f_v·|q̇|^α] with λ = exp(−|q̇/v_s|^δ_s) (eq. 16–18).
+    """Stribeck friction law (eq. 16–18).
 
-    With bounds no factor of `direction` is negative: friction takes power, never gives any, as
-    long as `direction` has the sign of the velocity. The offset is no friction and not bound.
+    The torque is direction·[λ·f_s + (1 − λ)·f_c + f_v·|q̇|^α] with λ = exp(−|q̇/v_s|^δ_s). With
+    bounds on the parameters, the factor of `direction` is never negative. With bounded parameters,
+    friction only dissipates power, as long as `direction` has the sign of the velocity. The
+    constant offset of the Stribeck law does not count as friction and is not bounded.
 
     Args:
-        units: (n,) of the coefficients [N·m].
-        settings: How they are parametrised.
+        units: (n,) units of the coefficients [N·m].
+        settings: Parametrisation of the coefficients: bounds, units and start values.
     """
 
     def __init__(self, units: FloatArray, settings: FrictionSettings) -> None:
@@ -126,7 +133,7 @@ class Stribeck(nn.Module):
         self.offset = Free(units, 0.0) if settings.offset else None
 
     def forward(self, q: Tensor, qd: Tensor, direction: Tensor) -> Tensor:
-        """(B, n) torque [N·m]."""
+        """Return the friction torque (B, n) [N·m]."""
         speed = qd.abs().clamp_min(LEAST_SPEED)
         share = torch.exp(-_power(speed / self._stribeck_speed(), self.delta_s()))
         f_c = self.f_c()
@@ -135,17 +142,17 @@ class Stribeck(nn.Module):
         return torque if self.offset is None else torque + self.offset()
 
     def curve(self, speeds: FloatArray) -> FloatArray:
-        """(K, n) torque [N·m] at steady speeds (K, n) [rad/s]."""
+        """Return the friction torque (K, n) [N·m] at steady speeds (K, n) [rad/s]."""
         return _steady(self, speeds)
 
     def intrinsic(self) -> dict[str, FloatArray]:
-        """f_s, f_c, f_v, offset [N·m], v_s [rad/s], delta_s, alpha, each (n,)."""
+        """Return f_s, f_c, f_v, offset [N·m], v_s [rad/s], delta_s and alpha, each (n,)."""
         names = ("f_s", "f_c", "f_v", "delta_s", "alpha", "offset")
         parameters = {name: getattr(self, name) for name in names}
         return _values(v_s=self._stribeck_speed, **parameters)
 
     def _stribeck_speed(self) -> Tensor:
-        """(n,) v_s [rad/s]: a free parameter may be negative or 0, the speed it stands for not."""
+        """Return the velocity v_s (n,) [rad/s], positive even if the parameter is negative."""
         speed: Tensor = self.v_s().abs().clamp_min(LEAST_STRIBECK_SPEED)
         return speed
 
@@ -166,12 +173,12 @@ def _shape(
 
 
 def _power(base: Tensor, exponent: Tensor) -> Tensor:
-    """base^exponent of a positive base, with finite gradients whatever the exponent is."""
+    """Return base^exponent for a positive base, with finite gradients for any exponent."""
     return torch.exp((exponent * torch.log(base)).clamp_max(LARGEST_EXPONENT))
 
 
 def _steady(network: nn.Module, speeds: FloatArray) -> FloatArray:
-    """At steady speed Dahl's state and a smooth sign have both come to the sign."""
+    """Return the torque (K, n) at steady speed, at which Dahl's state equals sign(q̇)."""
     with torch.no_grad():
         parameter = next(network.parameters())
         qd = torch.as_tensor(speeds, dtype=parameter.dtype, device=parameter.device)
@@ -189,38 +196,40 @@ def _values(**parameters: Callable[[], Tensor] | None) -> dict[str, FloatArray]:
 
 
 class NoFriction(nn.Module):
-    """None: what a Lagrangian network alone is (Lutter et al., 2019)."""
+    """Friction model with zero friction, as in a Lagrangian network alone (Lutter et al., 2019)."""
 
     def forward(self, q: Tensor, qd: Tensor, direction: Tensor) -> Tensor:
-        """(B, n) zeros."""
+        """Return zeros (B, n)."""
         return torch.zeros_like(qd)
 
     def curve(self, speeds: FloatArray) -> FloatArray:
-        """(K, n) zeros."""
+        """Return zeros (K, n)."""
         return np.zeros_like(speeds, dtype=np.float64)
 
     def intrinsic(self) -> dict[str, FloatArray]:
-        """Nothing."""
+        """Return an empty dictionary, because zero friction has no parameters."""
         return {}
 
 
 LEAST_REST_SPEED = 1e-4
-"""Where a hard sign is asked for [rad/s]: at rest 1/|q̇| is no number."""
+"""Minimum of `rest_speed` [rad/s], because 1/|q̇| is undefined at standstill."""
 
 
 class Dissipative(nn.Module):
-    """D(q, q̇)·q̇ with D = A·Aᵀ ⪰ 0: friction that cannot give power, whatever its weights are.
+    """Friction D(q, q̇)·q̇ with D = A·Aᵀ ⪰ 0, which cannot generate power for any weights.
 
-    Friction hardly depends on the size of a velocity, so damping must go as 1/|q̇|, which a smooth
-    network of q̇ cannot learn: its error on left-out trajectories is four times as large. Each row
-    of A therefore has the factor (|q̇ᵢ| + `rest_speed`)^−½ and what a network of q and log|q̇| says:
-    D stays ⪰ 0, and starts as Coulomb friction of unit·torque_scale in every joint.
+    Friction hardly depends on the magnitude of the velocity, so the damping must vary as 1/|q̇|. A
+    smooth network of q̇ cannot learn a damping that varies as 1/|q̇|, and has four times the error
+    on held-out trajectories. Each row i of A is therefore the product of (|q̇ᵢ| + `rest_speed`)^−½
+    and the output of a network of q and log|q̇|. The damping D remains ⪰ 0, and initially
+    corresponds to Coulomb friction of unit·torque_scale in every joint.
 
     Args:
-        n: Joints.
+        n: Number of joints.
         torque_scale: (n,) standard deviation of each joint's torque [N·m].
-        settings: Widths of its hidden layers, the unit, and below what speed damping stays.
-        seed: Of the start weights.
+        settings: Widths of the hidden layers, unit, and speed below which the damping stays
+            constant.
+        seed: Seed of the start weights.
     """
 
     scale: Tensor
@@ -243,7 +252,7 @@ class Dissipative(nn.Module):
         self._n, self._rest = n, max(settings.rest_speed, LEAST_REST_SPEED)
 
     def factor(self, q: Tensor, qd: Tensor) -> Tensor:
-        """(B, n, n) lower triangle A."""
+        """Return the lower triangular matrix A (B, n, n)."""
         speed = qd.abs() + self._rest
         entries: Tensor = self.network(_inputs(q, torch.log(speed))) * self.scale
         flat = entries.new_zeros(len(q), self._n * self._n)
@@ -251,36 +260,39 @@ class Dissipative(nn.Module):
         return lower * torch.rsqrt(speed)[..., None]
 
     def damping(self, q: Tensor, qd: Tensor) -> Tensor:
-        """(B, n, n) D [N·m·s/rad]."""
+        """Return the damping matrix D (B, n, n) [N·m·s/rad]."""
         A = self.factor(q, qd)
         damping: Tensor = A @ A.mT
         return damping
 
     def forward(self, q: Tensor, qd: Tensor, direction: Tensor) -> Tensor:
-        """(B, n) torque [N·m]."""
+        """Return the friction torque (B, n) [N·m]."""
         A = self.factor(q, qd)
         torque: Tensor = (A @ (A.mT @ qd[..., None]))[..., 0]
         return torque
 
     def curve(self, speeds: FloatArray) -> FloatArray:
-        """(K, n) torque [N·m] of each joint moving alone at q = 0, at speeds (K, n) [rad/s]."""
+        """Return the torque (K, n) [N·m] of each joint at speeds (K, n) [rad/s].
+
+        For the torque of a joint, q is 0 and all other joints are assumed to be at standstill.
+        """
         return _alone(self, speeds)
 
     def intrinsic(self) -> dict[str, FloatArray]:
-        """Nothing: no weight means anything by itself."""
+        """Return an empty dictionary, because weights have no physical meaning."""
         return {}
 
 
 SHARPNESS = 4.0
-"""Of the softplus: a coefficient about its unit moves 0.98 times as fast as its parameter."""
+"""Sharpness β of the softplus; near its unit, a coefficient changes 0.98 times as fast as θ."""
 
 
 class Free(nn.Module):
-    """Any value: unit·θ.
+    """Unbounded parameter: unit·θ.
 
     Args:
-        unit: (n,) of the value.
-        start: Of the value, in units.
+        unit: (n,) unit of the parameter.
+        start: Start value of the parameter, as a multiple of `unit`.
     """
 
     unit: Tensor
@@ -291,16 +303,16 @@ class Free(nn.Module):
         self.theta = nn.Parameter(torch.full((len(unit),), start))
 
     def forward(self) -> Tensor:
-        """(n,) values."""
+        """Return the values (n,)."""
         return self.unit * self.theta
 
 
 class NotNegative(nn.Module):
-    """A value that cannot fall below 0: unit·softplus(θ).
+    """Non-negative parameter: unit·softplus(θ).
 
     Args:
-        unit: (n,) of the value.
-        start: Of the value, in units, above 0.
+        unit: (n,) unit of the parameter.
+        start: Start value of the parameter, as a multiple of `unit`; above 0.
     """
 
     unit: Tensor
@@ -312,17 +324,17 @@ class NotNegative(nn.Module):
         self.theta = nn.Parameter(torch.full((len(unit),), theta))
 
     def forward(self) -> Tensor:
-        """(n,) values."""
+        """Return the values (n,)."""
         return self.unit * nn.functional.softplus(self.theta, beta=SHARPNESS)
 
 
 class Between(nn.Module):
-    """A positive value within bounds, which its logarithm moves between.
+    """Positive parameter within two bounds, interpolated between the bounds on a logarithmic scale.
 
     Args:
-        n: How many.
-        bounds: Lowest and highest, above 0.
-        start: Within them.
+        n: Number of values.
+        bounds: Lowest and highest value of the parameter, above 0.
+        start: Start value of the parameter, within the bounds.
     """
 
     def __init__(self, n: int, bounds: tuple[float, float], start: float) -> None:
@@ -332,18 +344,18 @@ class Between(nn.Module):
         self.theta = nn.Parameter(torch.full((n,), math.log(share / (1.0 - share))))
 
     def forward(self) -> Tensor:
-        """(n,) values."""
+        """Return the values (n,)."""
         return torch.exp(self.low + self.span * torch.sigmoid(self.theta))
 
 
 class Unconstrained(nn.Module):
-    """Any torque that depends on position and velocity, as published: it may drive the arm.
+    """Network for any torque of position and velocity, as published; possibly generates power.
 
     Args:
-        n: Joints.
-        torque_scale: (n,) unit of its outputs [N·m].
-        settings: Widths of its hidden layers, and whether it has that unit.
-        seed: Of the start weights.
+        n: Number of joints.
+        torque_scale: (n,) unit of the outputs [N·m].
+        settings: Widths of the hidden layers, and whether the outputs have the unit `torque_scale`.
+        seed: Seed of the start weights.
     """
 
     scale: Tensor
@@ -357,21 +369,24 @@ class Unconstrained(nn.Module):
         self.register_buffer("scale", torch.as_tensor(scale, dtype=torch.get_default_dtype()))
 
     def forward(self, q: Tensor, qd: Tensor, direction: Tensor) -> Tensor:
-        """(B, n) torque [N·m]."""
+        """Return the friction torque (B, n) [N·m]."""
         torque: Tensor = self.network(_inputs(q, qd)) * self.scale
         return torque
 
     def curve(self, speeds: FloatArray) -> FloatArray:
-        """(K, n) torque [N·m] of each joint moving alone at q = 0, at speeds (K, n) [rad/s]."""
+        """Return the torque (K, n) [N·m] of each joint at speeds (K, n) [rad/s].
+
+        For the torque of a joint, q is 0 and all other joints are assumed to be at standstill.
+        """
         return _alone(self, speeds)
 
     def intrinsic(self) -> dict[str, FloatArray]:
-        """Nothing: no weight means anything by itself."""
+        """Return an empty dictionary, because weights have no physical meaning."""
         return {}
 
 
 def _perceptron(widths: tuple[int, ...], seed: int) -> nn.Sequential:
-    """Layers of tanh and a linear one, from a seed of their own."""
+    """Return tanh layers and a linear output layer; torch's global random state stays unchanged."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         layers: list[nn.Module] = []

@@ -1,13 +1,15 @@
-"""Inverse dynamics by a network that obeys Euler and Lagrange, with friction beside it.
+"""Estimator of the inverse dynamics: a Lagrangian network with a separate friction model.
 
-Methods 4 to 6 and the proposed one of the PINN paper: M(q) and the potential of gravity come from
-one network, their torque from the Lagrangian equation (eq. 8), and friction from a few intrinsic
-parameters per joint (eq. 15–18), trained together or by turns (Algorithm 1). `friction` says which
-method it is; `protocol: paper` takes the paper's settings at their word.
+This module implements methods 4 to 6 and the proposed method of the PINN paper. One network yields
+M(q) and the gravity potential; the Lagrangian equation (eq. 8) turns them into torque. The Stribeck
+friction model has a few intrinsic parameters per joint (eq. 15–18). The Lagrangian network and the
+friction model are trained together, or alternately as in Algorithm 1 of the PINN paper. The
+parameter `friction` selects one of the methods of the PINN paper. With `protocol: paper` all
+settings are those of the PINN paper.
 
-`lagrangian_settings` turns parameters into settings, `lagrangian_data` a dataset into what is
-learned, and `lagrangian` is the network. That module imports torch, so it is imported only by the
-methods that compute with the network.
+`lagrangian_settings` turns estimator parameters into settings, `lagrangian_data` turns a dataset
+into training data, and `lagrangian` contains the network. The module `lagrangian` imports torch, so
+only methods that compute with the network import `lagrangian`.
 """
 
 from __future__ import annotations
@@ -70,39 +72,41 @@ if TYPE_CHECKING:
 
 
 WEIGHTS = "network."
-"""The name of every weight in a model file begins with it."""
+"""Prefix of the name of every weight in a model file."""
 
 
 class LagrangianEstimator(RobotEstimator):
-    """A deep Lagrangian network with friction.
+    """Estimator of a deep Lagrangian network with friction.
 
     Args:
-        friction: `none`, `coulomb`, `stribeck`, `dissipative` or `unconstrained`.
-        learning: `hybrid` (Algorithm 1) or `joint`.
-        loops: Of hybrid learning.
-        direction: What friction takes for the sign of the motion: `smooth`, tanh(qd/sign_width), or
-            `dahl`, a state with memory whose length is fitted per joint.
-        sign_width: Of the smooth sign [rad/s]; 0 for the hard sign.
-        protocol: Whose settings: `ours`, or `paper` for all it prints, word by word.
-        network: `NetworkSettings` that are to be others.
-        friction_settings: `FrictionSettings` that are to be others.
-        training: `TrainingSettings` that are to be others.
-        validation_share: Of the trajectories, held out to stop by.
-        seed: Of the start, the mini-batches and the trajectories held out.
-        filters: Preprocessing of training and prediction alike; by default 50 Hz, and 125 rows per
-            second to learn from.
+        friction: Friction model: `none`, `coulomb`, `stribeck`, `dissipative` or `unconstrained`.
+        learning: Training schedule: `hybrid` (Algorithm 1) or `joint`.
+        loops: Number of loops of hybrid learning.
+        direction: Quantity that replaces the sign of the motion in the friction law: `smooth`,
+            tanh(qd/sign_width), or `dahl`, a state with memory whose length is fitted per joint.
+        sign_width: Width of the smooth sign [rad/s]; 0 for the hard sign.
+        protocol: Source of the default settings: `ours`, or `paper` for exactly the settings of the
+            PINN paper.
+        network: Mapping of the `NetworkSettings` that differ from the defaults.
+        friction_settings: Mapping of the `FrictionSettings` that differ from the defaults.
+        training: Mapping of the `TrainingSettings` that differ from the defaults.
+        validation_share: Share of the trajectories held out for early stopping.
+        seed: Seed of the start weights, the mini-batches and the choice of held-out trajectories.
+        filters: Filter settings for training and prediction; by default the cut-off is 50 Hz and
+            125 training rows per second are retained, if the recording is fast enough.
 
     Attributes:
-        design_: What the network looks like.
+        design_: Design of the network.
         weights_: Weights and scales of the network by name.
-        torque_std_: (n,) standard deviation of the torque that was learned from [N·m].
-        length_: (n,) in which Dahl's state comes round [rad]; None for the smooth sign.
-        filters_: Those that were used.
-        by_sample_: Whether a study drew rows to judge from the motions that were learned from.
-        curves_: How the training went.
-        sigma_: (n,) RMSE at the trajectories held out, against the measured effort.
-        watch_: Told every epoch of a fit; not stored.
-        checkpoints_: Folder in which a fit is kept while it runs; not stored.
+        torque_std_: (n,) standard deviation of the torque in the training rows [N·m].
+        length_: (n,) characteristic length of Dahl's state [rad]; None if the direction is the
+            smooth sign.
+        filters_: Filter settings that were used in the fit.
+        by_sample_: Whether a study drew test rows from the same motions as the training rows.
+        curves_: Learning curves.
+        sigma_: (n,) RMSE on the held-out trajectories, relative to the measured effort.
+        watch_: Function that is called with every epoch of a fit; not stored.
+        checkpoints_: Folder for the checkpoints of a running fit; not stored.
     """
 
     estimator: ClassVar[str] = "lagrangian"
@@ -159,9 +163,10 @@ class LagrangianEstimator(RobotEstimator):
 
     @property
     def protocol(self) -> str:
-        """`honest`, unless rows to learn from and to judge were drawn from the same motions.
+        """Evaluation protocol: `honest`, or sample split if test and training rows share motions.
 
-        What the parameter of that name chose is settings, not rows: `get_params` has it.
+        The constructor parameter `protocol` only selects settings; `get_params` returns the
+        constructor parameter.
         """
         return SAMPLE_SPLIT_PROTOCOL if self.by_sample_ else HONEST
 
@@ -170,24 +175,24 @@ class LagrangianEstimator(RobotEstimator):
         self._settings_of = settings_of
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """The parameters as given."""
+        """Return the parameters that were passed to the constructor."""
         return super().get_params(deep) | {"protocol": self._settings_of}
 
     def extras(self) -> dict[str, str]:
-        """PyTorch."""
+        """Return the optional extra that provides PyTorch."""
         return LEARN
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what a fit cannot do without: samples to train with, and drive gains."""
+        """Return the minimum requirements of a fit: enough samples, and drive gains."""
         return TO_TRAIN
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit to every series given; declared loads are subtracted from the target.
+        """Fit to every series of the dataset, after subtracting the torque of declared loads.
 
         Raises:
-            FitError: The data are too few, not finite, of another robot or unit, or hold efforts
-                that cannot be; or the training diverges.
-            DataError: A series cannot be filtered, or nothing is left to stop by.
+            FitError: The data are too few, not finite, of a different robot or unit, or contain
+                implausible efforts; or the training diverges.
+            DataError: A series cannot be filtered, or no validation rows are left.
             PluginError: The extra `learn` is missing.
         """
         require_torch()
@@ -223,17 +228,19 @@ class LagrangianEstimator(RobotEstimator):
         self.sigma_ = np.sqrt(np.mean((held_out["effort"] - found.effort) ** 2, axis=0))
 
     def predict(self, dataset: Dataset) -> Prediction:
-        """Effort per row: `inertia`, `coriolis`, `gravity`, `friction`, `payload`.
+        """Return the predicted effort of every row and the parts of that effort.
+
+        The parts of the effort are `inertia`, `coriolis`, `gravity`, `friction` and `payload`.
 
         Raises:
-            DataError: The data are of another robot or unit, or cannot be filtered.
+            DataError: The data belong to a different robot or unit, or cannot be filtered.
         """
         self.require_match(dataset)
         data = prepared(dataset, self.filters_)
         return self._predict(data, directions(data, self.sign_width, self.length_))
 
     def stream(self, payload: Payload | None = None) -> Stream:
-        """A predictor for one sample at a time; it filters nothing."""
+        """Return a predictor for one sample at a time, which does not filter its inputs."""
         from hil.networks.lagrangian import NetworkStream
 
         load = None
@@ -244,10 +251,10 @@ class LagrangianEstimator(RobotEstimator):
         )
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:
-        """M(q) (N, n, n) as learned, symmetric and positive definite, at q (N, n) [kg·m²].
+        """Return the learned M(q) (N, n, n) [kg·m²], symmetric and positive definite, at q (N, n).
 
         Raises:
-            DataError: The positions are not one number per joint.
+            DataError: The positions do not have one number per joint.
         """
         from hil.networks.lagrangian import mass_matrix
 
@@ -255,12 +262,17 @@ class LagrangianEstimator(RobotEstimator):
         if np.ndim(q) != 2 or np.shape(q)[1] != n:
             raise DataError(
                 f"positions have the shape {np.shape(q)}, but must be (N, {n})",
-                hint="give a row per pose and a number per joint",
+                hint="pass one row per pose and one number per joint",
             )
         return mass_matrix(self._network(), q)
 
     def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
-        """Friction at velocities (N, n) [rad/s]; None of Dahl's state, and of learned friction."""
+        """Return friction at velocities (N, n) [rad/s].
+
+        Returns:
+            Friction curve; None for Dahl's state and for friction other than `coulomb` or
+            `stribeck`.
+        """
         from hil.networks.lagrangian import steady_friction
 
         kind = self.design_.kind
@@ -298,12 +310,12 @@ class LagrangianEstimator(RobotEstimator):
 
     @property
     def intrinsic_(self) -> dict[str, FloatArray]:
-        """Friction parameters that mean something, each (n,), by name."""
+        """Friction parameters with a physical meaning, by name, each (n,)."""
         found: dict[str, FloatArray] = self._network().friction.intrinsic()
         return found
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """Weights, torque scales, deviations and the lengths of Dahl's states."""
+        """Return weights, torque scales, standard deviations and lengths of Dahl's states."""
         arrays = {
             "torque_std": self.torque_std_,
             "torque_scale": self.torque_scale_,
@@ -313,7 +325,7 @@ class LagrangianEstimator(RobotEstimator):
         return arrays if self.length_ is None else arrays | {"length": self.length_}
 
     def fitted_facts(self) -> dict[str, Any]:
-        """The design, the filters, the friction's parameters and the learning curves."""
+        """Return the design, the filters, the friction parameters and the learning curves."""
         intrinsic = {name: values.tolist() for name, values in self.intrinsic_.items()}
         return super().fitted_facts() | {
             "design": self.design_.facts(),
@@ -324,10 +336,11 @@ class LagrangianEstimator(RobotEstimator):
         }
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote.
+        """Restore the fit from the results of `fitted_arrays` and `fitted_facts`.
 
         Raises:
-            KeyError, TypeError, ValueError, SpecError: Something is missing or cannot be.
+            KeyError, TypeError, ValueError, SpecError: An entry of the arrays or facts is missing
+                or invalid.
             PluginError: The extra `learn` is missing.
         """
         require_torch()

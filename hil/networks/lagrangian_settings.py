@@ -1,9 +1,10 @@
-"""How a Lagrangian network, its friction and its training are set up; nothing here needs torch.
+"""Settings of a Lagrangian network, of its friction and of its training; independent of torch.
 
-`NetworkSettings` is the network behind M(q) and g(q), `FrictionSettings` the friction beside it;
-both have a `literal()` that takes the PINN paper at its word. `Design` holds the two: with weights
-and torque scales it is the model. The functions below make designs, trainings and stages from the
-parameters of the estimator `lagrangian`.
+`NetworkSettings` describes the network that yields M(q) and g(q), `FrictionSettings` describes the
+friction model. `NetworkSettings` and `FrictionSettings` each have a method `literal()` that returns
+exactly the settings of the PINN paper. `Design` combines network settings and friction settings; a
+design with weights and torque scales is a complete model. The functions of this module create
+designs, training settings and stages from the parameters of the estimator `lagrangian`.
 """
 
 from __future__ import annotations
@@ -34,30 +35,32 @@ Finite = Annotated[float, Field(ge=-10.0, le=10.0, allow_inf_nan=False)]
 Layers = Annotated[
     tuple[Annotated[Whole, Field(strict=True, ge=1, le=4096)], ...], Field(strict=False)
 ]
-"""Lists of a YAML file become tuples."""
+"""Number of units per hidden layer; lists from a YAML file are converted to tuples."""
 
 
 class NetworkSettings(BaseModel):
-    """Structure and start of the network behind M(q) and g(q).
+    """Structure and start weights of the network that yields M(q) and g(q).
 
     Attributes:
-        hidden: Units of each hidden layer, one layer at least.
-        activation: Of the hidden layers. The torque holds its derivative: where that jumps (relu),
-            so does the torque.
-        features: What the first layer sees: `sincos` [cos q, sin q], the same after a whole turn,
-            or `raw` q [rad].
-        gravity: `potential` learns V(q) and takes its gradient, `head` learns g(q) itself, which
-            need not be the gradient of anything.
-        diagonal: What keeps the diagonal of the factor L of M = LLᵀ from below zero. With `relu`
-            an entry can stay 0 for ever.
-        epsilon: Keeps M from being singular.
-        epsilon_of: What it is added to: the diagonal of the `factor`, or that of the `mass` matrix.
-        scaled: Give row j of L the unit √(torque scale of joint j), and V the largest one, so that
-            every joint starts with torques of its own size.
-        hidden_gain: Standard deviation of hidden layers' first weights over Glorot's.
-        output_gain: The same for the last layer.
-        bias: First value of every bias …
-        diagonal_bias: … but those of L's diagonal.
+        hidden: Number of units of each hidden layer; there is at least one hidden layer.
+        activation: Activation function of the hidden layers. The torque contains the derivative of
+            the activation function. With `relu` the derivative of the activation has jumps, so the
+            torque has jumps too.
+        features: Inputs of the first layer: `sincos` [cos q, sin q], which is periodic, or `raw` q
+            [rad].
+        gravity: `potential` learns V(q) and uses its gradient; `head` learns g(q) directly, which
+            is then not necessarily the gradient of a potential.
+        diagonal: Activation that keeps the diagonal of the factor L of M = LLᵀ non-negative. With
+            `relu` an entry of the diagonal can stay at 0 permanently.
+        epsilon: Constant that keeps M from being singular.
+        epsilon_of: Matrix to whose diagonal `epsilon` is added: `factor` for L, `mass` for M.
+        scaled: Whether row j of L has the unit √(torque scale of joint j) and V has the largest of
+            the torque scales as unit; every joint then starts with torques of its typical size.
+        hidden_gain: Standard deviation of the start weights of hidden layers, relative to Glorot's.
+        output_gain: Standard deviation of the start weights of the last layer, relative to
+            Glorot's.
+        bias: Start value of every bias except those of the diagonal of L.
+        diagonal_bias: Start value of the biases of the diagonal of L.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -84,10 +87,11 @@ class NetworkSettings(BaseModel):
 
     @classmethod
     def literal(cls) -> NetworkSettings:
-        """What the paper prints (Section II.B, III.A): ReLU, q as it is, g(q) as a head of its own.
+        """Return the settings of the PINN paper: ReLU, raw q, g(q) as a separate head.
 
-        What it leaves open is as in the code that DeLaN's authors published: start weights, start
-        biases, and 10⁻⁵ added to M.
+        The returned settings are those of Sections II.B and III.A of the PINN paper. Start weights,
+        start biases and the 10⁻⁵ added to M are not stated in the PINN paper; the values are those
+        of the code published by the authors of DeLaN.
         """
         return cls(
             activation="relu",
@@ -113,7 +117,7 @@ FRICTIONS: tuple[FrictionKind, ...] = (
     "dissipative",
     "unconstrained",
 )
-"""Methods 4 (none), 6 (Coulomb–viscous), Proposed (Stribeck) and both forms of 5."""
+"""Friction models of the PINN paper: method 4 (none), 6, Proposed (Stribeck), 5 (two variants)."""
 
 Sign: TypeAlias = Literal["given", "hard"]
 Bounds: TypeAlias = tuple[float, float]
@@ -123,34 +127,40 @@ BOUNDED = {
     "shape_bounds": "start_shape",
     "exponent_bounds": "start_exponent",
 }
-"""Bounds → where the parameter within them starts."""
+"""Mapping from the setting with the bounds of a parameter to the setting with its start value."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrictionSettings:
-    """How friction is parametrised.
+    """Parametrisation of the friction: bounds, units and start values of the parameters.
 
-    Bounds and unit are not taste: v_s, δ_s and α make up for each other, and without bounds end
-    where no joint is; and coefficients in plain N·m move so slowly beside the network's weights
-    that the network learns friction as gravity first.
+    Bounds are necessary because v_s, δ_s and α compensate each other. Without bounds, the training
+    ends at values of v_s, δ_s and α that no real joint has. A suitable unit is necessary because
+    coefficients in N·m change slowly compared with the weights of the network. Without the unit,
+    the network first learns friction as gravity.
 
     Attributes:
-        sign: `given`: the direction the caller hands over (smooth sign, or Dahl's state); `hard`:
-            sign(q̇) of the paper, whatever is handed over.
-        scaled: Coefficients have `unit` times the joint's torque for a unit, and networks its
-            torque; otherwise 1 N·m.
-        unit: Share of the joint's standard deviation of torque, and what f_s, f_c, f_v start at.
-        start: What they start at without `scaled` [N·m].
-        bounded: f_s, f_c, f_v ≥ 0 and v_s, δ_s, α within their bounds.
-        speed_bounds: Of v_s [rad/s].
-        shape_bounds: Of δ_s.
-        exponent_bounds: Of α.
-        start_speed, start_shape, start_exponent: What v_s, δ_s, α start at.
-        offset: Stribeck friction has a constant beside eq. 18 (of sensors and drives: the one part
-            that is not passive). Coulomb–viscous friction has one by definition, eq. 3.
-        hidden: Widths of the hidden layers of a dissipative or an unconstrained network.
-        rest_speed: Below about this speed [rad/s] the damping of a dissipative network no longer
-            grows as speed falls. An estimator hands over the width of its smooth sign.
+        sign: Direction in the friction law: `given` or `hard`. With `given` the law uses the
+            direction that the caller passes (smooth sign or Dahl's state). With `hard` the law uses
+            sign(q̇) as in the PINN paper and ignores the passed direction.
+        scaled: Whether the unit of coefficients is `unit` times the standard deviation of the
+            joint's torque, and the unit of the outputs of friction networks is that standard
+            deviation; if false, both units are 1 N·m.
+        unit: Unit of the coefficients as a share of the standard deviation of the joint's torque;
+            f_s, f_c and f_v start at this unit.
+        start: Start value of f_s, f_c and f_v if `scaled` is false [N·m].
+        bounded: Whether f_s, f_c and f_v are kept ≥ 0, and v_s, δ_s and α within their bounds.
+        speed_bounds: Bounds of v_s [rad/s].
+        shape_bounds: Bounds of δ_s.
+        exponent_bounds: Bounds of α.
+        start_speed, start_shape, start_exponent: Start values of v_s [rad/s], δ_s and α.
+        offset: Whether Stribeck friction has a constant torque in addition to eq. 18. The constant
+            torque represents errors of sensors and drives, and is the only part of the friction
+            model that is not passive. Coulomb–viscous friction always has a constant torque (eq.
+            3).
+        hidden: Number of units of each hidden layer of a dissipative or unconstrained network.
+        rest_speed: Speed [rad/s] below which the damping of a dissipative network stops growing.
+            The estimator `lagrangian` passes the width of its smooth sign as `rest_speed`.
     """
 
     sign: Sign = "given"
@@ -186,7 +196,7 @@ class FrictionSettings:
 
     @staticmethod
     def literal() -> FrictionSettings:
-        """As the paper says: hard sign, N·m, free parameters, no offset."""
+        """Return the PINN paper's settings: hard sign, N·m, unbounded parameters, no offset."""
         return FrictionSettings(
             sign="hard", scaled=False, bounded=False, offset=False,
             start_speed=0.1, start_shape=1.0, start_exponent=1.0,
@@ -194,25 +204,28 @@ class FrictionSettings:
 
     @staticmethod
     def given(settings: dict[str, Any]) -> FrictionSettings:
-        """From keyword arguments, as a spec has them.
+        """Return friction settings from the keyword arguments of a spec.
 
         Raises:
-            SpecError: There is no such setting, or it cannot have that value.
+            SpecError: A setting is unknown or has an invalid value.
         """
         require_known(settings, tuple(f.name for f in fields(FrictionSettings)), "friction")
         return FrictionSettings(**settings)
 
     def _set(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)  # lists of a YAML file become tuples
+        object.__setattr__(self, name, value)  # converts lists from a YAML file to tuples
 
 
 def _bounds(name: str, value: Any) -> Bounds:
     pair = _sequence(name, value)
     if len(pair) != 2:
-        raise SpecError(f"{name} is {value!r}, but must be the lowest and the highest value")
+        raise SpecError(
+            f"{name} is {value!r}, but must be a list of two numbers: the lowest and "
+            "the highest value"
+        )
     low, high = (number(name, limit, above=0.0) for limit in pair)
     if low >= high:
-        raise SpecError(f"{name} is {value!r}, but the first must be below the second")
+        raise SpecError(f"{name} is {value!r}, but the first number must be below the second")
     return low, high
 
 
@@ -236,28 +249,36 @@ LEARNING = ("hybrid", "joint")
 DIRECTIONS = ("smooth", "dahl")
 
 LAGRANGIAN_CHOICES: Mapping[str, Any] = {"loss": "mae", "epochs": 60}
-"""Where training differs from its defaults, the same for every friction. By the error on held-out
-trajectories of a simulated UR5, in torque deviations, SMAPE with a floor, Huber's loss and the
-absolute error give .140/.129/.132 with Stribeck friction, .150/.147/.146 with Coulomb's and
-.174/.657/.174 with a dissipative network, which Huber's left in a bad minimum for one seed of two.
-Best epochs came late: more of them would gain a little."""
+"""Training settings that differ from the defaults; the same for every friction model.
+
+The loss was selected by the prediction error on held-out trajectories of a simulated UR5, in torque
+standard deviations. SMAPE with a floor, Huber's loss and the absolute error give prediction errors
+of .140/.129/.132 with Stribeck friction, .150/.147/.146 with Coulomb friction and .174/.657/.174
+with a dissipative network. With the dissipative network, training with Huber's loss ended in a poor
+minimum for one of two seeds. The epochs with the lowest error were late, so training for more
+epochs would give a small improvement.
+"""
 
 FRICTION_RATES: Mapping[FrictionKind, tuple[float, ...]] = {"dissipative": (1.0, 0.2)}
-"""Where more than one learning rate of the friction is tried, as shares of the usual one; the
-training that validates better is kept. A dissipative network learns poses by heart when data are
-few: on four trajectories of a UR10e, each left out once, choosing takes the mean error from 0.54 to
-0.41 A; on nine of a simulated UR5 the usual rate is better by a fifth, and is chosen. A network of
-(q, qd) gains nothing by it: 0.86 instead of 0.79 A, and 3.70 instead of 3.76 N·m."""
+"""Learning rates of the friction, as shares of the default rate, for a choice between rates.
+
+One network is trained for each rate, and the network with the lower validation error is selected.
+With few data, a dissipative network overfits to poses at the default rate. On four trajectories of
+a UR10e, each held out in turn, the selection of the rate reduces the mean error from 0.54 to 0.41
+A. On nine trajectories of a simulated UR5 the error with the default rate is lower by a fifth, and
+the default rate is selected. A lower rate does not improve an unconstrained network of (q, qd): the
+mean error is 0.86 instead of 0.79 A, and 3.70 instead of 3.76 N·m.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What a network looks like; with its weights and torque scales it is the model.
+    """Design of a network; a design with weights and torque scales is the complete model.
 
     Attributes:
-        kind: Of the friction.
-        network: The Lagrangian part.
-        friction: How the friction is parametrised.
+        kind: Friction model.
+        network: Settings of the Lagrangian part.
+        friction: Parametrisation of the friction.
     """
 
     kind: FrictionKind
@@ -265,7 +286,7 @@ class Design:
     friction: FrictionSettings
 
     def facts(self) -> dict[str, Any]:
-        """As JSON, for the model file: defaults of a later hil may be others."""
+        """Return the design as JSON for the model file; defaults may change in later versions."""
         return {
             "kind": self.kind,
             "network": self.network.model_dump(),
@@ -274,10 +295,10 @@ class Design:
 
     @staticmethod
     def restored(facts: Mapping[str, Any]) -> Design:
-        """Inverse of `facts`.
+        """Return the design from the result of `facts`.
 
         Raises:
-            KeyError, TypeError, SpecError: Something is missing or cannot be.
+            KeyError, TypeError, SpecError: An entry of the design is missing or invalid.
         """
         network = settings("network", facts["network"], NetworkSettings)
         return Design(facts["kind"], network, FrictionSettings.given(dict(facts["friction"])))
@@ -289,16 +310,16 @@ def design(
     network: Mapping[str, Any],
     friction: Mapping[str, Any] | None = None,
 ) -> Design:
-    """Return the design that a protocol stands for, with some settings changed.
+    """Return the design of a protocol, with the passed settings changed.
 
     Args:
-        kind: Of the friction.
-        protocol: Whose settings.
-        network: Settings of the network that differ.
-        friction: Settings of the friction that differ.
+        kind: Friction model.
+        protocol: Protocol that defines the default settings.
+        network: Mapping of network settings that differ from the defaults.
+        friction: Mapping of friction settings that differ from the defaults.
 
     Raises:
-        SpecError: A setting is unknown or cannot be.
+        SpecError: A setting is unknown or has an invalid value.
     """
     paper = protocol == "paper"
     usual_friction = FrictionSettings.literal() if paper else FrictionSettings()
@@ -314,10 +335,10 @@ def design(
 def training_settings(
     protocol: str, loops: int, seed: int, changed: Mapping[str, Any]
 ) -> TrainingSettings:
-    """The training a protocol stands for, with some settings changed.
+    """Return the training settings of a protocol, with the passed settings changed.
 
     Raises:
-        SpecError: A setting is unknown or cannot be.
+        SpecError: A setting is unknown or has an invalid value.
     """
     paper = protocol == "paper"
     start = (
@@ -332,13 +353,16 @@ def training_settings(
 def trials(
     kind: FrictionKind, protocol: str, training: TrainingSettings
 ) -> tuple[TrainingSettings, ...]:
-    """Return the trainings of which the one that validates best is kept; one if rates are given."""
+    """Return the training settings to try; a single entry if the friction rate is specified.
+
+    The caller trains with each entry and selects the network with the lowest validation error.
+    """
     given = training.group_rates
 
     def with_rates(rates: dict[str, float]) -> TrainingSettings:
         return training.model_copy(update={"group_rates": rates})
 
-    if kind == "none":  # without parameters there is nothing that a rate of theirs could be for
+    if kind == "none":  # zero friction has no parameters, so it has no learning rate
         return (with_rates({name: rate for name, rate in given.items() if name != FRICTION}),)
     if protocol == "paper" or FRICTION in given:
         return (training,)
@@ -349,37 +373,41 @@ def trials(
 
 
 def require_agreement(protocol: str, direction: str, friction: FrictionSettings) -> None:
-    """Refuse a friction state that a hard sign, such as the paper's, would leave unused.
+    """Raise if Dahl's state is requested but the friction has a hard sign, which ignores it.
 
     Raises:
-        SpecError: Both are asked for.
+        SpecError: The friction has a hard sign and `direction` is `dahl`.
     """
     if friction.sign == "hard" and direction == "dahl":
         paper = protocol == "paper"
         whose = "protocol is 'paper', whose friction has" if paper else "friction_settings has"
         raise SpecError(
             f"{whose} a hard sign, but direction is 'dahl'",
-            hint=f"use {'protocol: ours' if paper else 'sign: given'} with a state, or "
+            hint=f"set {'protocol: ours' if paper else 'sign: given'} for Dahl's state, or "
             "direction: smooth",
         )
 
 
 def stages(learning: str, kind: FrictionKind, training: TrainingSettings) -> tuple[Stage, ...]:
-    """Algorithm 1, or everything at once; without friction there is nothing to freeze."""
+    """Return the stages of Algorithm 1 of the PINN paper, or a single joint stage.
+
+    There is a single joint stage if `learning` is `joint`, or if the friction is `none` and there
+    is no friction to freeze.
+    """
     if learning == "joint" or kind == "none":
         return joint_stages(training)
     return hybrid_stages(training)
 
 
 CUTOFF_HZ, KEPT_HZ = 50.0, 125.0
-"""Of recordings that are fast enough: the paper's filters, and the rows left afterwards."""
+"""Cut-off frequency of the PINN paper, and training rows per second, for fast recordings [Hz]."""
 
 FAST_HZ = 150.0
-"""Slower recordings get the filters of the other estimators, and keep every row."""
+"""Sample rate [Hz] below which a recording gets the default filters and retains every row."""
 
 
 def filters_for(dataset: Dataset) -> FilterSettings:
-    """Filters by the rate of the slowest motion."""
+    """Return filter settings that suit the sample rate of the slowest motion."""
     slowest = min((rate for rate, _ in motion_rates(dataset)), default=0.0)
     if slowest < FAST_HZ:
         return FilterSettings()

@@ -1,24 +1,27 @@
-"""Levenberg–Marquardt for multilayer perceptrons: our own, batched, on the CPU or a GPU.
+"""Levenberg–Marquardt training of multilayer perceptrons, in batches, on the CPU or a GPU.
 
-`train` fits B networks of one layout (`hil.networks.mlp.Mlp`) to B targets. The rows are checked,
-averaged where their inputs are the same, and standardised; then every epoch (`Training`) linearises
-the networks and tries steps with more and more damping until the cost falls. On the CPU every
-network is a task of its own, which may run in a worker process; on a GPU all are one batch.
+`train` fits B networks of one layout (`hil.networks.mlp.Mlp`) to B targets. `train` checks the
+rows, averages rows with equal inputs and standardises the result. In every epoch, `Training`
+linearises the networks and tries steps with increasing damping until the cost decreases. On the CPU
+the training of every network is a separate task and can run in a worker process. On a GPU all
+networks form one batch.
 
 **The step.** The cost is the weighted mean square error (weights sum to 1, target of variance 1)
-plus `weight_decay` times the sum of squared weights. With J the Jacobian, rows times √weight, and r
-the residual, the step solves (JᵀJ + λ·1)·s = Jᵀr − α·θ, λ = α + damping × mean diagonal of JᵀJ
-(`Primal`). The same step follows from the dual system of as many unknowns as rows,
-s = Jᵀ(J·Jᵀ + λ·1)⁻¹(r + α/λ·J·θ) − α/λ·θ, which is less work when rows are few (`Dual`).
+plus `weight_decay` times the sum of squared weights. With the Jacobian J (rows multiplied by
+√weight) and the residual r, the step s solves (JᵀJ + λ·1)·s = Jᵀr − α·θ with λ = α + damping × mean
+diagonal of JᵀJ (`Primal`). The dual system gives the same step as the primal system and has one
+unknown per row: s = Jᵀ(J·Jᵀ + λ·1)⁻¹(r + α/λ·J·θ) − α/λ·θ. The dual system is cheaper than the
+primal system if there are few rows (`Dual`).
 
-**Averaging.** Rows with equal inputs have equal outputs, so Σ (yₖ − f)² over such a group is its
-size times (mean − f)² plus the scatter about the mean, in which the network does not occur. One row
-per group, weighted by its size, therefore has the same gradient, Gauss–Newton matrix and minimum as
-all of them; the constant is added again to the reported errors. Inputs that differ within a group
-are refused.
+**Averaging.** A network has equal outputs for rows with equal inputs. For a group of rows with
+equal inputs and the network output f, the sum Σ (yₖ − f)² equals the group size times (mean − f)²,
+plus the scatter about the mean. The scatter about the mean does not depend on the network.
+Replacing a group of rows by one row, weighted by the group size, keeps the gradient, the
+Gauss–Newton matrix and the minimum. The constant scatter is added back to the reported errors. A
+group whose rows have different inputs is rejected with an error.
 
-docs/explanation/levenberg-marquardt.md explains why it is fast; `hil.networks.lm_regressor` offers
-the same with scikit-learn's contract.
+The page docs/explanation/levenberg-marquardt.md explains why the method is fast.
+`hil.networks.lm_regressor` provides the same training as a scikit-learn estimator.
 """
 
 from __future__ import annotations
@@ -61,46 +64,50 @@ def train(
 ) -> Trained:
     """Train one network per target.
 
-    On the CPU the networks are independent tasks, so results do not depend on `jobs`, bit for bit;
-    on a GPU all are one batch. BLAS gets one thread: more only spin on matrices of this size.
+    On the CPU the networks are independent tasks, so the result is bit-identical for any `jobs`. On
+    a GPU all networks form one batch. On the CPU, BLAS runs with one thread, because more threads
+    do not speed up matrices of this size.
 
     Args:
         mlp: Layout of the networks.
-        X: Inputs (N, d), or (B, N, d) when every network has its own.
+        X: Inputs (N, d), or (B, N, d) if every network has different inputs.
         Y: Targets (N,) or (N, B).
-        sample_weight: (N,) importance of each row.
-        groups: (N,) labels; rows of one label have the same inputs and are averaged, which
-            changes neither gradient nor minimum (see the module).
-        validation: (X, Y), (X, Y, weight) or (X, Y, weight, groups): rows to stop by.
-        seed: For the start weights; network b draws its own from (seed, b).
-        initial: Start weights (B, P) instead.
-        jobs: Processes to spread the networks over. They are started by `hil.core.process_context`,
-            so a script that asks for more than one needs `if __name__ == "__main__":`.
-        callback: Called with the `Epoch` of every network.
-        **settings: `epochs` (1000), `patience` (epochs without a better validation error until a
-            network stops; None: never), `weight_decay` (0), `damping` (`Damping`), `target_rmse`
-            (stop there), `precision` (`float64`; `float32` for the Jacobian and its products, the
-            solution stays in float64), `device` (`cpu`, `cuda`), `solver` (`auto`, `primal`,
-            `dual`).
+        sample_weight: (N,) weight of each row.
+        groups: (N,) group labels. Rows with the same label have the same inputs and are averaged,
+            which changes neither the gradient nor the minimum (see the module docstring).
+        validation: Validation rows for early stopping: (X, Y), (X, Y, weight) or (X, Y, weight,
+            groups).
+        seed: Seed of the start weights; network number b draws its start weights from (seed, b).
+        initial: Start weights (B, P), which replace the random start weights.
+        jobs: Number of processes over which the networks are distributed.
+            `hil.core.process_context` starts the processes, so a script with more than one job
+            needs `if __name__ == "__main__":`.
+        callback: Function that is called with the `Epoch` of every network.
+        **settings: `epochs` (1000), `patience` (number of epochs without a lower validation error
+            after which a network stops; None: never), `weight_decay` (0), `damping` (a `Damping`),
+            `target_rmse` (training stops at this RMSE), `precision` (`float64`, or `float32` for
+            the Jacobian and its products; the equations are solved in float64 in both cases),
+            `device` (`cpu`, `cuda`), `solver` (`auto`, `primal`, `dual`).
 
     Returns:
-        The networks, with the weights of the best validation error, or the last.
+        The trained networks. With validation rows, the returned networks have the weights of the
+        lowest validation error; without validation rows they have the last weights.
 
     Raises:
-        FitError: The data do not allow it: shapes, NaN, too few rows, rows of one label whose
-            inputs differ.
-        SpecError: A setting cannot be, or the device is not there.
+        FitError: The data are unusable: shapes do not match, values are NaN, there are too few
+            rows, or rows with one label have different inputs.
+        SpecError: A setting has an invalid value, or the device is not available.
     """
     chosen = Settings.given(settings)
     rows = checked_rows(X, Y, sample_weight, groups)
     if rows.X.shape[2] != mlp.inputs:
         raise FitError(
-            f"the layout {mlp} has {mlp.inputs} inputs, the data {rows.X.shape[2]}",
-            hint="the first of the layers is the number of inputs",
+            f"the layout {mlp} has {mlp.inputs} inputs, but the data have {rows.X.shape[2]}",
+            hint="the first entry of layers is the number of inputs",
         )
     held_out = None if validation is None else checked_rows(*validation, what="validation")
     if chosen.patience is not None and held_out is None:
-        raise SpecError("patience needs validation rows to judge by")
+        raise SpecError("patience needs validation rows")
     scaling = Scaling.of(rows)
     for averaged in (rows, held_out):
         if averaged is not None:
@@ -117,13 +124,13 @@ def train(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trained:
-    """B trained networks of one layout.
+    """Batch of B trained networks with one layout.
 
     Attributes:
-        mlp: Their layout.
-        weights: (B, P), for standardised inputs and targets.
-        scaling: From and to the units of the data.
-        histories: How each was trained.
+        mlp: Layout of the networks.
+        weights: (B, P) weights for standardised inputs and targets.
+        scaling: Conversion between the units of the data and standardised values.
+        histories: Training history of each network.
     """
 
     mlp: Mlp
@@ -132,22 +139,25 @@ class Trained:
     histories: tuple[History, ...] = ()
 
     def predict(self, X: FloatArray) -> FloatArray:
-        """(N, B) outputs for inputs (N, d) or (B, N, d), in the unit of the targets."""
+        """Return outputs (N, B) for inputs (N, d) or (B, N, d), in the unit of the targets."""
         return self.scaling.outputs(self.mlp.predict(self.weights, self.scaling.inputs(X)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """How the training of one network went.
+    """Training history of one network.
 
     Attributes:
-        train_rmse: (E + 1,) in the unit of the target, the start first. Never rises without weight
-            decay; with it the sum of both does not, and this may.
-        validation_rmse: (E + 1,), NaN without validation rows.
-        damping: (E + 1,).
-        best_epoch: Whose weights were kept.
-        stopped: Why it ended: `epochs`, `patience` (the validation error fell no more),
-            `target` (`target_rmse` reached), or `converged` (no step lowers the cost any more).
+        train_rmse: (E + 1,) training RMSE in the unit of the target; the first value is from before
+            the training. Without weight decay the training RMSE never rises. With weight decay the
+            cost (error plus decay term) never rises, but the training RMSE can rise.
+        validation_rmse: (E + 1,) validation RMSE in the unit of the target; NaN without validation
+            rows.
+        damping: (E + 1,) damping after each epoch.
+        best_epoch: Number of the epoch whose weights are returned.
+        stopped: Reason for the end of the training: `epochs` (limit reached), `patience` (the
+            validation error no longer decreases), `target` (`target_rmse` reached) or `converged`
+            (no step lowers the cost).
     """
 
     train_rmse: FloatArray
@@ -158,36 +168,36 @@ class History:
 
     @staticmethod
     def of(epochs: list[Epoch], best_epoch: int, stopped: str) -> History:
-        """From the epochs of one network."""
+        """Return the history that corresponds to the reported epochs of one network."""
         columns = np.array([(e.train_rmse, e.validation_rmse, e.damping) for e in epochs])
         return History(columns[:, 0], columns[:, 1], columns[:, 2], best_epoch, stopped)
 
     @property
     def epochs(self) -> int:
-        """Epochs done, the start not counted."""
+        """Number of completed epochs; the state before training does not count."""
         return len(self.train_rmse) - 1
 
     @property
     def final_train_rmse(self) -> float:
-        """Of the weights that were kept."""
+        """Training RMSE of the returned weights, in the unit of the target."""
         return float(self.train_rmse[self.best_epoch])
 
     @property
     def final_validation_rmse(self) -> float:
-        """Of the weights that were kept; NaN without validation rows."""
+        """Validation RMSE of the returned weights; NaN without validation rows."""
         return float(self.validation_rmse[self.best_epoch])
 
 
 @dataclass(frozen=True, slots=True)
 class Epoch:
-    """Where one network is after an epoch; errors in the unit of the target.
+    """State of one network after an epoch; all errors are in the unit of the target.
 
     Attributes:
-        network: Number within the batch.
-        epoch: 0 is the start.
-        train_rmse: On all training rows, averaged or not.
-        validation_rmse: NaN without validation rows.
-        damping: That the next step starts with.
+        network: Number of the network within the batch.
+        epoch: Number of the epoch; 0 is the state before training.
+        train_rmse: RMSE over all training rows, including the scatter removed by averaging.
+        validation_rmse: RMSE over the validation rows; NaN without validation rows.
+        damping: Damping with which the next step starts.
     """
 
     network: int
@@ -202,14 +212,15 @@ Callback: TypeAlias = Callable[[Epoch], object]
 
 @dataclass(frozen=True, slots=True)
 class Damping:
-    """How the damping, relative to the mean diagonal of JᵀJ, follows success and failure.
+    """Rule that adapts the damping (relative to the mean diagonal of JᵀJ) after each step.
 
     Attributes:
-        start: Before the first step.
-        fall: It is divided by this after a step that lowers the cost.
-        rise: It is multiplied by this after one that does not.
-        least, most: Its limits.
-        tries: Steps tried per epoch; when all fail, that network has converged.
+        start: Damping before the first step.
+        fall: Divisor of the damping after a step that lowers the cost.
+        rise: Factor of the damping after a step that does not lower the cost.
+        least, most: Minimum and maximum of the damping.
+        tries: Maximum number of steps tried per epoch; if all these steps fail, the network has
+            converged.
     """
 
     start: float = 1e-2
@@ -232,7 +243,7 @@ Solver = Literal["auto", "primal", "dual"]
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How to train; `train` explains each."""
+    """Training settings, which the docstring of `train` explains."""
 
     epochs: int = 1000
     patience: int | None = None
@@ -257,10 +268,10 @@ class Settings:
 
     @staticmethod
     def given(settings: dict[str, Any]) -> Settings:
-        """From keyword arguments.
+        """Return training settings from keyword arguments.
 
         Raises:
-            SpecError: There is no such setting, or it cannot have that value.
+            SpecError: A setting is unknown or has an invalid value.
         """
         require_known(settings, tuple(f.name for f in fields(Settings)), "train")
         return Settings(**settings)
@@ -268,14 +279,16 @@ class Settings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """Inputs, targets and weights.
+    """Inputs, targets and weights of training or validation rows.
 
     Attributes:
-        X: (1, N, d), or (B, N, d) when every network has its own inputs.
-        Y: (N, B).
-        weight: (N,), sums to 1.
-        scatter: (B,) weighted mean square of what averaging took away; 0 without.
-        input_scatter: (1 or B, d) the same of the inputs, which should be next to nothing.
+        X: Inputs (1, N, d), or (B, N, d) if every network has different inputs.
+        Y: Targets (N, B).
+        weight: (N,) weights of the rows, with sum 1.
+        scatter: (B,) weighted mean square of the targets about their group means; 0 without
+            averaging.
+        input_scatter: (1 or B, d) weighted mean square of the inputs about their group means, which
+            is almost zero for valid groups.
     """
 
     X: FloatArray
@@ -293,7 +306,7 @@ class Rows:
         return int(self.Y.shape[1])
 
     def single(self, network: int) -> Rows:
-        """What one of the networks sees."""
+        """Return the rows for a single network."""
         one = slice(network, network + 1)
         own = one if len(self.X) > 1 else slice(None)
         return Rows(
@@ -304,14 +317,15 @@ class Rows:
 def checked_rows(
     X: Any, Y: Any, sample_weight: Any = None, groups: Any = None, *, what: str = "training"
 ) -> Rows:
-    """Rows for training or validation.
+    """Return rows for training or validation after checking them.
 
     Args:
-        X: (N, d), or (B, N, d).
-        Y: (N,) or (N, B).
-        sample_weight: (N,), all 1 when None.
-        groups: (N,) labels; rows of the same label are averaged. None averages nothing.
-        what: The rows' purpose, for messages.
+        X: Inputs (N, d) or (B, N, d).
+        Y: Targets (N,) or (N, B).
+        sample_weight: (N,) weight of each row; None gives every row the weight 1.
+        groups: (N,) group labels; rows with the same label are averaged. With `groups` None, no
+            rows are averaged.
+        what: Purpose of the rows, which error messages contain.
 
     Raises:
         FitError: Shapes do not match, values are not finite, or there are too few rows.
@@ -328,8 +342,8 @@ def checked_rows(
         X, Y, weight, scatter, of_inputs = averaged(X, Y, weight, np.asarray(groups))
     if len(Y) < 2:
         raise FitError(
-            f"{len(Y)} {what} row(s) are too few for a network",
-            hint="give at least two rows that differ",
+            f"{len(Y)} {what} row(s) are not enough to train a network",
+            hint="pass at least two different rows",
         )
     return Rows(X, Y, weight, scatter, of_inputs)
 
@@ -337,7 +351,7 @@ def checked_rows(
 def _require_shapes(X: FloatArray, Y: FloatArray, what: str) -> None:
     if X.ndim != 3 or Y.ndim != 2 or X.shape[1] != len(Y) or X.shape[0] not in (1, Y.shape[1]):
         raise FitError(
-            f"the {what} inputs {X.shape} and targets {Y.shape} do not go together",
+            f"the {what} inputs {X.shape} and targets {Y.shape} have incompatible shapes",
             hint="inputs are (N, d) or (B, N, d), targets (N,) or (N, B)",
         )
 
@@ -347,7 +361,7 @@ def _require_finite(values: FloatArray, name: str, what: str) -> None:
     if bad:
         raise FitError(
             f"{bad} of the {what} {name} are NaN or infinite",
-            hint="leave those rows out, or find out why they were recorded so",
+            hint="remove these rows, or correct them at their source",
         )
 
 
@@ -367,12 +381,22 @@ def _weights(sample_weight: Any, rows: int, what: str) -> FloatArray:
 def averaged(
     X: FloatArray, Y: FloatArray, weight: FloatArray, groups: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """One row per group: means of X (B, N, d) and Y (N, B), total weight, scatter (B,) and (B, d).
+    """Average the rows of each group.
 
-    Groups keep the order of their labels. Groups of weight 0 vanish.
+    The groups are sorted by label. Groups with weight 0 are omitted from the result.
+
+    Args:
+        X: Inputs (B, N, d).
+        Y: Targets (N, B).
+        weight: (N,) weights of the rows.
+        groups: (N,) group labels.
+
+    Returns:
+        Means of X and Y per group, total weight of each group, and the weighted mean squares about
+        the group means of Y (B,) and of X (B, d).
 
     Raises:
-        FitError: There is not one label per row.
+        FitError: The number of labels differs from the number of rows.
     """
     if groups.shape != weight.shape:
         raise FitError(f"groups has the shape {groups.shape}, but there are {len(weight)} rows")
@@ -393,55 +417,60 @@ def averaged(
 
 
 MOST_SPREAD = 0.05
-"""Within groups an input may vary by this share of its deviation: noise, a step of a thermometer.
-That moves the output by as large a share of its own at most, and the RMSE by the square of it."""
+"""Largest permitted variation of an input within a group, as a share of its standard deviation.
+
+The permitted share allows for noise or one resolution step of a thermometer. A variation of this
+size changes the output by at most about the same share of the output's standard deviation, and the
+RMSE by the square of that share.
+"""
 
 
 def require_alike(rows: Rows, input_scale: FloatArray) -> None:
-    """Refuse groups whose inputs differ: one row cannot stand for theirs, nor can its error.
+    """Raise if rows of one group have different inputs, so that one row cannot replace them.
 
     Args:
-        rows: For training or validation.
-        input_scale: (1 or B, d) standard deviation of the training inputs between groups. It judges
-            validation rows as well: those may be of one pose, where noise is all there is.
+        rows: Training or validation rows, grouped.
+        input_scale: (1 or B, d) standard deviation of the training inputs between groups.
+            Validation rows are also compared with the standard deviation of the training inputs,
+            because validation rows of a single pose vary only by noise.
 
     Raises:
-        FitError: An input varies within groups.
+        FitError: An input varies within groups by more than `MOST_SPREAD`.
     """
     within = np.sqrt(rows.input_scatter)
     share = np.max(within / np.hypot(input_scale, within), axis=0)
     if np.any(share > MOST_SPREAD):
         worst = int(np.argmax(share))
         raise FitError(
-            f"input {worst + 1} of {len(share)} varies within the groups that are to be averaged, "
-            f"by {share[worst]:.0%} of all its variation, so their rows are not alike",
-            hint="do not average (averaging: false, or no groups), or use an input that is the "
-            "same in all rows of a group",
+            f"input {worst + 1} of {len(share)} is not constant within the groups to be "
+            f"averaged: {share[worst]:.0%} of its total variation is inside groups",
+            hint="disable averaging (averaging: false, or no groups), or use an input that is "
+            "constant within each group",
         )
 
 
 def equal_inputs(X: FloatArray) -> IntArray:
-    """(N,) label of each row of (N, d) or (B, N, d): the same for rows whose inputs are equal."""
+    """Return labels (N,) for rows of (N, d) or (B, N, d); equal input rows get equal labels."""
     flat = X if X.ndim == 2 else np.concatenate(list(X), axis=1)
     _, label = np.unique(flat, axis=0, return_inverse=True)
     return np.asarray(label, dtype=np.int64).reshape(-1)
 
 
 class ConstantInputWarning(UserWarning):
-    """An input has the same value in every row, so the network cannot learn from it."""
+    """Warning about an input that is constant in all rows, from which no network can learn."""
 
 
 CONSTANT = 1e-12
-"""A column whose deviation is below this share of its size does not vary."""
+"""Maximum standard deviation of a constant column, as a share of the column's absolute mean."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scaling:
-    """Mean and deviation of inputs and targets.
+    """Mean and standard deviation of inputs and targets.
 
     Attributes:
-        input_mean, input_scale: (1 or B, d).
-        target_mean, target_scale: (B,).
+        input_mean, input_scale: (1 or B, d) mean and standard deviation of the inputs.
+        target_mean, target_scale: (B,) mean and standard deviation of the targets.
     """
 
     input_mean: FloatArray
@@ -451,9 +480,10 @@ class Scaling:
 
     @staticmethod
     def of(rows: Rows) -> Scaling:
-        """From the weighted rows; constant columns are warned of and only centred.
+        """Return the scaling of weighted rows; warn about constant columns, which are only centred.
 
-        What averaging took away counts too, so that averaged rows are scaled as all of them.
+        The target scale includes the scatter that averaging removed, so averaged rows are scaled
+        like the original rows.
 
         Raises:
             FitError: Values are so large that their squares overflow.
@@ -464,14 +494,14 @@ class Scaling:
             y_mean = rows.weight @ rows.Y
             y_square = rows.weight @ (rows.Y - y_mean) ** 2 + rows.scatter
         if not np.all(np.isfinite(x_square)) or not np.all(np.isfinite(y_square)):
-            raise FitError("inputs or targets are too large to be squared: are the units right?")
+            raise FitError("inputs or targets are too large to be squared; check their units")
         x_scale = _deviation(x_square, x_mean)
         constant = np.flatnonzero(np.all(x_scale == 0, axis=0))
         if len(constant):
             listed = ", ".join(str(k + 1) for k in constant)
             warnings.warn(
-                f"input {listed} of {rows.X.shape[2]} has the same value in every row: the network "
-                "learns nothing from it, and predictions at other values of it mean nothing",
+                f"input {listed} of {rows.X.shape[2]} has the same value in every row: the "
+                "network cannot learn its effect, and predictions at other values are meaningless",
                 ConstantInputWarning,
                 stacklevel=4,
             )
@@ -480,7 +510,7 @@ class Scaling:
         return Scaling(x_mean, x_scale, y_mean, y_scale)
 
     def single(self, network: int) -> Scaling:
-        """That of one network alone."""
+        """Return the scaling for a single network."""
         one = slice(network, network + 1)
         inputs = one if len(self.input_mean) > 1 else slice(None)
         return Scaling(
@@ -491,16 +521,16 @@ class Scaling:
         )
 
     def inputs(self, X: FloatArray) -> FloatArray:
-        """Standardised (1 or B, N, d) of (N, d) or (B, N, d)."""
+        """Return standardised inputs (1 or B, N, d) for inputs (N, d) or (B, N, d)."""
         batch = X[None] if X.ndim == 2 else X
         return (batch - self.input_mean[:, None]) / self.input_scale[:, None]
 
     def targets(self, Y: FloatArray) -> FloatArray:
-        """Standardised (B, N) of (N, B)."""
+        """Return standardised targets (B, N) for targets (N, B)."""
         return ((Y - self.target_mean) / self.target_scale).T
 
     def outputs(self, standard: FloatArray) -> FloatArray:
-        """(N, B) in the unit of the target, of (B, N)."""
+        """Return outputs (N, B) in the unit of the target for standardised outputs (B, N)."""
         return standard.T * self.target_scale + self.target_mean
 
 
@@ -511,11 +541,14 @@ def _deviation(square: FloatArray, mean: FloatArray) -> FloatArray:
 
 
 LEAST_GAIN = 1e-6
-"""By this share a validation error must fall to be a better one; rounding makes it fall as well."""
+"""Relative decrease that a lower validation error must exceed to count as an improvement.
+
+The threshold excludes decreases that are only caused by rounding.
+"""
 
 
 class Training:
-    """The networks of one batch while they are trained; each ends by itself."""
+    """Training of the networks of one batch, in which each network stops independently."""
 
     def __init__(self, task: Task) -> None:
         mlp, rows, settings, scaling = task.mlp, task.rows, task.settings, task.scaling
@@ -536,13 +569,13 @@ class Training:
         self._passed = self._forward(self._weights)
         self._cost = self._cost_of(self._weights, self._passed)
         if not np.all(np.isfinite(self._cost)):
-            raise FitError("the cost of the start weights is not finite", hint="scale the data")
+            raise FitError("the cost of the initial weights is not finite", hint="scale the data")
         self._epochs: list[list[Epoch]] = [[] for _ in task.start]
         self._best_epoch = np.zeros(len(task.start), dtype=int)
         self._stopped = [""] * len(task.start)
 
     def run(self, callback: Callback | None = None) -> Result:
-        """Train to the end: weights (B, P) and histories."""
+        """Train until all networks have stopped; return weights (B, P) and histories."""
         self._note(0, callback)
         for epoch in range(1, self._settings.epochs + 1):
             if not self._active().any():
@@ -564,7 +597,7 @@ class Training:
         return self._mlp.forward(self._arrays.asarray(weights), self._X, self._arrays)
 
     def _cost_of(self, weights: FloatArray, passed: Pass) -> FloatArray:
-        """(B,) mean square error and weight decay."""
+        """Return the cost (B,): mean square error plus weight decay."""
         astray = self._arrays.to_numpy((self._Y - passed.output) * self._root)
         return np.asarray(
             np.sum(astray**2, axis=1) + self._settings.weight_decay * np.sum(weights**2, axis=1)
@@ -580,7 +613,7 @@ class Training:
         return Primal(at, residual, weights, decay, self._arrays)
 
     def _advance(self) -> None:
-        """One step for every network that is still trained, with as much damping as it needs."""
+        """Take one step in each active network with the lowest damping that reduces its cost."""
         rule, pending, system = self._settings.damping, self._active(), self._system()
         for _ in range(rule.tries):
             step, computed = system.step(self._damping)
@@ -600,7 +633,7 @@ class Training:
         self._passed = passed if better.all() else self._forward(self._weights)
 
     def _note(self, number: int, callback: Callback | None) -> None:
-        """Remember where each network is; keep the best weights, and stop those that are done."""
+        """Record the state of each network, store the best weights and stop finished networks."""
         square = self._cost - self._settings.weight_decay * np.sum(self._weights**2, axis=1)
         unit = self._scaling.target_scale
         train = np.sqrt(np.maximum(square, 0.0) * unit**2 + self._rows.scatter)
@@ -619,7 +652,7 @@ class Training:
         settings = self._settings
         best = self._epochs[network][self._best_epoch[network]]
         enough = best.validation_rmse * (1.0 - LEAST_GAIN)
-        # Epoch 0 is the best so far when it is judged, and keeps its weights either way.
+        # At epoch 0 the best epoch is 0 as well, so `_best` already contains these weights.
         if self._held_out is None or epoch.validation_rmse < enough:
             self._best_epoch[network] = epoch.epoch
             self._best[network] = self._weights[network]
@@ -641,14 +674,14 @@ class Training:
 
 
 class System(Protocol):
-    """A linearised problem that can be solved for several dampings."""
+    """Interface of a linearised problem that can be solved for several damping values."""
 
     def step(self, damping: FloatArray) -> tuple[Array, BoolArray]:
-        """Steps (B, P) for dampings (B,), and whether each could be computed."""
+        """Return steps (B, P) for damping values (B,), and a mask (B,) of the computable steps."""
 
 
 class Primal:
-    """Unknowns are the weights: (JᵀJ + λ·1)·s = g."""
+    """Linear system with one unknown per weight: (JᵀJ + λ·1)·s = g."""
 
     def __init__(
         self, at: Linearised, residual: Array, weights: Array, decay: float, arrays: Arrays
@@ -659,13 +692,13 @@ class Primal:
         self._decay, self._arrays = decay, arrays
 
     def step(self, damping: FloatArray) -> tuple[Array, BoolArray]:
-        """Steps (B, P)."""
+        """Return steps (B, P) for damping values (B,), and a mask (B,) of the computable steps."""
         shift = self._decay + damping * self._size
         return self._arrays.solve(self._matrix, shift, self._target)
 
 
 class Dual:
-    """Unknowns are the rows."""
+    """Dual linear system of the step, with one unknown per row."""
 
     def __init__(
         self, at: Linearised, residual: Array, weights: Array, decay: float, arrays: Arrays,
@@ -678,7 +711,7 @@ class Dual:
         self._along = at.times(mlp.matrices(weights)) if decay else None
 
     def step(self, damping: FloatArray) -> tuple[Array, BoolArray]:
-        """Steps (B, P)."""
+        """Return steps (B, P) for damping values (B,), and a mask (B,) of the computable steps."""
         shift = self._decay + damping * self._size
         target = self._residual
         share = self._arrays.asarray(self._decay / np.maximum(shift, np.finfo(float).tiny))[:, None]
@@ -690,9 +723,9 @@ class Dual:
 
 
 def dual_is_faster(mlp: Mlp, rows: int) -> bool:
-    """Whether the dual system is less work: multiplications to build and to factor it."""
+    """Return whether building and factoring the dual system needs fewer multiplications."""
     factors = sum(inputs + units for inputs, units in mlp.shapes)
-    # Blocks of the kernel are small products, which run at about a third of the speed of a big one.
+    # The small block products of the kernel run at about a third of the speed of one large product.
     dual = 3 * rows**2 * factors + rows**3 / 3
     primal = rows * mlp.n_weights**2 + mlp.n_weights**3 / 3
     return dual < primal
@@ -703,7 +736,7 @@ Result = tuple[FloatArray, tuple[History, ...]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """Networks to train together, the first of them with the number `first`."""
+    """Networks that are trained together; `first` is the number of the first one in the batch."""
 
     mlp: Mlp
     rows: Rows
@@ -714,7 +747,7 @@ class Task:
     first: int = 0
 
     def single(self, network: int) -> Task:
-        """Return the task of one network alone."""
+        """Return the task for a single network."""
         return Task(
             self.mlp,
             self.rows.single(network),
@@ -726,13 +759,13 @@ class Task:
         )
 
     def run(self, callback: Callback | None = None) -> Result:
-        """Train, on one thread of BLAS."""
+        """Train the networks of the task with one BLAS thread."""
         with threadpool_limits(1):
             return Training(self).run(callback)
 
 
 def run_all(task: Task, *, jobs: int, callback: Callback | None) -> Result:
-    """Train all networks of a task.
+    """Train all networks of a task, in worker processes if `jobs` is greater than 1.
 
     Raises:
         SpecError: `jobs` is not a positive whole number.
@@ -760,7 +793,7 @@ def _spread(tasks: list[Task], jobs: int, callback: Callback | None) -> list[Res
         try:
             _follow(futures, reports, callback)
         except BaseException:
-            # Workers that report into a full pipe would wait for ever: read on until they end.
+            # Read the queue until all workers have ended; a worker blocks while the pipe is full.
             ended.set()
             for future in futures:
                 future.cancel()
@@ -770,7 +803,7 @@ def _spread(tasks: list[Task], jobs: int, callback: Callback | None) -> list[Res
 
 
 POLL_S = 0.05
-"""How often the epochs that workers report are passed on."""
+"""Time [s] between two transfers of epochs from worker processes to the callback."""
 
 
 def _follow(futures: list[Future[Result]], reports: Any, callback: Callback | None) -> None:
@@ -784,11 +817,11 @@ def _follow(futures: list[Future[Result]], reports: Any, callback: Callback | No
 
 
 class _Ended(Exception):
-    """The parent no longer needs the result."""
+    """Exception that ends a worker process whose result is no longer needed."""
 
 
 _report: Callable[[Epoch], None] | None = None
-"""In a worker: passes an epoch on."""
+"""Function that sends an epoch to the parent process; set only in worker processes."""
 
 
 def _begin_worker(reports: Any, ended: Any, wanted: bool) -> None:

@@ -1,4 +1,4 @@
-"""A network trained by Levenberg–Marquardt, with scikit-learn's contract."""
+"""Scikit-learn estimator of a network trained by the Levenberg–Marquardt method."""
 
 from __future__ import annotations
 
@@ -15,27 +15,29 @@ from hil.networks.mlp import Mlp
 
 
 class LevenbergMarquardtRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
-    """A multilayer perceptron for (X, y), trained by Levenberg–Marquardt.
+    """Multilayer perceptron for (X, y), trained by the Levenberg–Marquardt method.
 
     Args:
-        hidden: Units of the hidden layers.
-        activations: One per hidden layer and one for the output, `tanh` or `linear`; None is tanh
-            in all hidden layers and a linear output.
-        epochs: Steps at most.
-        validation_share: Share of the rows, drawn by seed, that decide when to stop; 0 for none.
-            Rows with equal inputs stay together.
-        patience: Epochs without a better validation error until it stops.
-        weight_decay: Times the sum of squared weights, added to the mean square error of the
-            standardised target.
-        average: Average rows with equal inputs: the same gradient from fewer rows.
-        precision: `float64`, or `float32` for the Jacobian and its products.
-        device: `cpu` or `cuda`.
-        random_state: Seed of start weights and validation rows.
+        hidden: Number of units of each hidden layer.
+        activations: Activation of each hidden layer and of the output, each `tanh` or `linear`;
+            None means tanh in all hidden layers and a linear output.
+        epochs: Maximum number of epochs, with one step each.
+        validation_share: Share of the rows, drawn at random, that are used for early stopping; 0
+            disables early stopping. Rows with equal inputs are either all training rows or all
+            validation rows.
+        patience: Number of epochs without a lower validation error after which training stops.
+        weight_decay: Factor of the sum of squared weights; the product is added to the mean square
+            error of the standardised target.
+        average: Whether rows with equal inputs are averaged, which gives the same gradient from
+            fewer rows.
+        precision: Number type: `float64`, or `float32` for the Jacobian and its products.
+        device: Device of the training: `cpu` or `cuda`.
+        random_state: Seed of the start weights and validation rows.
 
     Attributes:
-        trained_: The network with its scaling.
-        history_: How the training went.
-        n_iter_: Epochs done.
+        trained_: Trained network with its scaling.
+        history_: Training history.
+        n_iter_: Number of completed epochs, at least 1.
 
     Examples:
         >>> import numpy as np
@@ -71,7 +73,7 @@ class LevenbergMarquardtRegressor(RegressorMixin, BaseEstimator):  # type: ignor
         self.random_state = random_state
 
     def fit(self, X: Any, y: Any, sample_weight: Any = None) -> LevenbergMarquardtRegressor:
-        """Fit to X (N, d) and y (N,) with weights (N,), all 1 when None."""
+        """Fit to inputs X (N, d) and targets y (N,) with row weights (N,), which default to 1."""
         X, y = validate_data(self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2)
         weight = _weights(sample_weight, len(X))
         groups = equal_inputs(X)
@@ -95,14 +97,14 @@ class LevenbergMarquardtRegressor(RegressorMixin, BaseEstimator):  # type: ignor
         return self
 
     def predict(self, X: Any) -> FloatArray:
-        """Outputs (N,)."""
+        """Return the outputs (N,)."""
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
         predicted: FloatArray = self.trained_.predict(X)[:, 0]
         return predicted
 
     def _held_out(self, groups: Any) -> Any:
-        """(N,) rows to stop by."""
+        """Return a mask (N,) of the validation rows."""
         count = int(groups.max()) + 1
         chosen = np.zeros(count, dtype=bool)
         wanted = min(round(self.validation_share * count), count - 2)
@@ -113,7 +115,7 @@ class LevenbergMarquardtRegressor(RegressorMixin, BaseEstimator):  # type: ignor
 
 
 def _weights(sample_weight: Any, rows: int) -> FloatArray:
-    """(N,) weights; scikit-learn's contract wants a ValueError for what cannot be weights."""
+    """Return the sample weights (N,); raise ValueError if they are invalid."""
     if sample_weight is None:
         return np.ones(rows)
     weight = np.asarray(sample_weight, dtype=np.float64)

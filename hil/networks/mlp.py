@@ -1,18 +1,20 @@
-"""Multilayer perceptrons of any layout, B of them side by side, and their derivative by weight.
+"""Multilayer perceptrons of any layout, evaluated as a batch of B, and derivatives by the weights.
 
-`Mlp` is a layout; weights are handed over. Those of one network are one vector: layer by layer, and
-in each layer input by input the weights to all its units, the biases last. A layer's weights are
-therefore a matrix (inputs + 1, units), and a constant 1 as the last input makes the bias a weight
-like the others. Arrays are kept with the samples last, (B, units, N): each row of the Jacobian is
-then one product of two contiguous rows.
+`Mlp` describes a layout; the weights are passed separately. The weights of one network form one
+vector, ordered by layer. Within a layer, the weights from the first input to all units come first,
+followed by those of the next input; the biases come last. The weights of a layer are therefore a
+matrix (inputs + 1, units): a constant 1 as the last input makes the bias a weight like the others.
+In all arrays the samples are the last axis, (B, units, N); each row of the Jacobian is then the
+product of two contiguous rows.
 
-`Linearised` keeps the Jacobian as its factors; most operations never write it out. The derivative
-of the output by the weight from input k to unit i of a layer is a_k·δ_i: the input of the layer
-times the derivative of the output by the unit's sum. Hence Jᵀv and J·u are a product of small
-matrices per layer, and J·Jᵀ = Σ (aᵀa)∘(δᵀδ) over the layers (∘: element by element), which costs a
-seventh of multiplying the rows of J for the static paper's network.
+`Linearised` stores the Jacobian J as factors; most operations never compute the full matrix J. The
+derivative of the output by the weight from input k to unit i of a layer is a_k·δ_i: the input of
+the layer times the derivative of the output by the weighted sum of the unit. The products Jᵀv and
+J·u are therefore products of small matrices per layer. J·Jᵀ is Σ (aᵀa)∘(δᵀδ) over the layers (∘:
+element by element). For the network of the static paper, this sum costs one seventh of multiplying
+the rows of J.
 
-`Arrays` holds the few operations that differ between numpy on the CPU and torch on a GPU.
+`Arrays` contains the few operations that differ between numpy on the CPU and torch on a GPU.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from hil.core import BoolArray, FloatArray, SpecError
 ACTIVATIONS = ("tanh", "linear")
 
 Array: TypeAlias = Any
-"""A numpy array or a torch tensor."""
+"""Array of numpy or tensor of torch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +41,12 @@ class Mlp:
 
     Args:
         layers: Units per layer from the inputs to the output, such as (4, 20, 20, 10, 1).
-        activations: One per layer behind the inputs, `tanh` or `linear`; by default tanh in the
-            hidden layers and a linear output. The static paper has a linear first hidden layer:
-            (linear, tanh, tanh, linear).
+        activations: Activation of each layer after the inputs, `tanh` or `linear`; the default is
+            tanh in the hidden layers and a linear output. In the static paper the first hidden
+            layer is linear: (linear, tanh, tanh, linear).
 
     Raises:
-        SpecError: That is no network with one output.
+        SpecError: The layers or activations do not describe a network with one output.
     """
 
     layers: tuple[int, ...]
@@ -61,7 +63,7 @@ class Mlp:
 
     @property
     def shapes(self) -> tuple[tuple[int, int], ...]:
-        """(inputs + 1, units) of each layer's weights."""
+        """Shape (inputs + 1, units) of the weights of each layer."""
         return tuple((a + 1, b) for a, b in zip(self.layers, self.layers[1:], strict=False))
 
     @property
@@ -73,14 +75,16 @@ class Mlp:
         return "-".join(str(units) for units in self.layers)
 
     def initial(self, seed: int, network: int = 0) -> FloatArray:
-        """Start weights (P,), drawn for standardised inputs and target.
+        """Return start weights (P,), drawn for standardised inputs and target.
 
-        Weights and biases are uniform within ±√(3 / (inputs + 1)), so that with inputs of variance
-        1 every unit's sum has variance 1: tanh is then neither flat nor straight.
+        Start weights and biases are uniform within ±√(3 / (inputs + 1)). With inputs of variance 1
+        the weighted sum of every unit then has variance 1, for which tanh is neither saturated nor
+        linear.
 
         Args:
-            seed: Of the training.
-            network: Number within the batch; every network has its own draw.
+            seed: Seed of the training.
+            network: Number of the network within the batch; every network of a batch has different
+                start weights.
         """
         random = np.random.default_rng([seed, network])
         parts = [
@@ -90,7 +94,7 @@ class Mlp:
         return np.concatenate(parts)
 
     def matrices(self, weights: Array) -> list[Array]:
-        """Views (B, inputs + 1, units), one per layer, of weights (B, P)."""
+        """Return views (B, inputs + 1, units), one per layer, of weights (B, P)."""
         found, start = [], 0
         for rows, units in self.shapes:
             stop = start + rows * units
@@ -99,7 +103,13 @@ class Mlp:
         return found
 
     def forward(self, weights: Array, inputs: Array, arrays: Arrays) -> Pass:
-        """Run the networks (B, P) on inputs with a row of ones, (B or 1, d + 1, N)."""
+        """Run the networks on a batch of inputs.
+
+        Args:
+            weights: Weights (B, P) of the networks.
+            inputs: Inputs (B or 1, d + 1, N), of which the last row contains ones.
+            arrays: Array backend.
+        """
         matrices = self.matrices(weights)
         seen = [inputs]
         for matrix, activation in zip(matrices, self.activations, strict=True):
@@ -108,12 +118,17 @@ class Mlp:
         return Pass(self, matrices, seen, arrays)
 
     def predict(self, weights: FloatArray, X: FloatArray) -> FloatArray:
-        """Outputs (B, N) for weights (B, P) and inputs (N, d) or (B, N, d)."""
+        """Return outputs (B, N) for weights (B, P) and inputs (N, d) or (B, N, d)."""
         arrays = NumpyArrays("float64")
         return cast("FloatArray", self.forward(weights, arrays.inputs(X), arrays).output)
 
     def jacobian(self, weights: FloatArray, X: FloatArray) -> FloatArray:
-        """Derivative (B, N, P) of the outputs by the weights (B, P) at (N, d) or (B, N, d)."""
+        """Return the derivative (B, N, P) of the outputs by the weights.
+
+        Args:
+            weights: Weights (B, P).
+            X: Inputs (N, d) or (B, N, d).
+        """
         arrays = NumpyArrays("float64")
         passed = self.forward(weights, arrays.inputs(X), arrays)
         return cast("FloatArray", passed.linearised().jacobian().swapaxes(-1, -2))
@@ -131,7 +146,7 @@ def _checked_layers(layers: Any) -> tuple[int, ...]:
     if layers[-1] != 1:
         raise SpecError(
             f"layers ends with {layers[-1]}, but a network has one output",
-            hint="train one network per output: they are trained together",
+            hint="train one network per output; hil trains them together",
         )
     return tuple(layers)
 
@@ -142,17 +157,19 @@ def _checked_activations(activations: Any, count: int) -> tuple[str, ...]:
     given = tuple(activations) if isinstance(activations, list | tuple) else ()
     if len(given) != count or not set(given) <= set(ACTIVATIONS):
         raise SpecError(
-            f"activations is {activations!r}, but must be {count} words, each tanh or linear",
-            hint="one per layer behind the inputs; the paper's are linear, tanh, tanh, linear",
+            f"activations is {activations!r}, but must be a list of {count} entries, each tanh "
+            "or linear",
+            hint="one entry per layer after the inputs; the static paper uses linear, tanh, "
+            "tanh, linear",
         )
     return given
 
 
 class Pass:
-    """What went through the networks: kept for the derivative.
+    """Intermediate results of a forward pass, from which derivatives by the weights are computed.
 
     Attributes:
-        output: (B, N).
+        output: Outputs (B, N) of the networks.
     """
 
     def __init__(self, mlp: Mlp, matrices: list[Array], seen: list[Array], arrays: Arrays) -> None:
@@ -160,7 +177,11 @@ class Pass:
         self.output: Array = seen[-1][:, 0]
 
     def linearised(self, row_scale: Array | None = None) -> Linearised:
-        """The derivative, by one backward sweep; each row times `row_scale` (N,) if given."""
+        """Return the linearised networks, which one backward pass computes.
+
+        Args:
+            row_scale: (N,) factor of each row; None means that rows are not scaled.
+        """
         delta = self._slope(-1, self._arrays.ones_like(self._seen[-1][:, :-1]))
         if row_scale is not None:
             delta = delta * row_scale
@@ -171,7 +192,7 @@ class Pass:
         return Linearised(self._seen[:-1], deltas, self._arrays)
 
     def _slope(self, layer: int, delta: Array) -> Array:
-        """Through the activation of a layer, in place: tanh′ = 1 − tanh²."""
+        """Multiply `delta` in place by the slope of the layer's activation: tanh′ = 1 − tanh²."""
         if self._mlp.activations[layer] == "tanh":
             value = self._seen[layer if layer < 0 else layer + 1][:, :-1]
             delta *= 1 - value * value
@@ -179,19 +200,19 @@ class Pass:
 
 
 CHUNK = 512
-"""Samples whose part of the Jacobian is written out at once; it stays in the cache."""
+"""Number of samples whose part of the Jacobian is computed at once and fits into the CPU cache."""
 
 BLOCK = 192
-"""Rows of J·Jᵀ made at once; only blocks on and below the diagonal are."""
+"""Number of rows of J·Jᵀ that are computed at once."""
 
 
 class Linearised:
-    """Networks linearised at their weights.
+    """Networks that are linearised at their weights.
 
     Args:
-        seen: Per layer what it saw, constant 1 last, (B or 1, inputs + 1, N).
-        deltas: Per layer the derivative of the output by its units' sums, (B, units, N).
-        arrays: Where and how to compute.
+        seen: Inputs of each layer, (B or 1, inputs + 1, N), of which the last row contains ones.
+        deltas: Derivatives of the output by the weighted sums of each layer's units, (B, units, N).
+        arrays: Array backend.
     """
 
     def __init__(self, seen: list[Array], deltas: list[Array], arrays: Arrays) -> None:
@@ -200,7 +221,7 @@ class Linearised:
         self.weights = sum(a.shape[1] * d.shape[1] for a, d in self._layers())
 
     def jacobian(self, rows: slice = slice(None), out: Array | None = None) -> Array:
-        """(B, P, rows): the transposed Jacobian, written out."""
+        """Return the transposed Jacobian (B, P, rows) as a full array."""
         count = len(range(*rows.indices(self.rows)))
         J = self._arrays.empty((self.networks, self.weights, count)) if out is None else out
         start = 0
@@ -212,7 +233,7 @@ class Linearised:
         return J
 
     def transposed_times(self, v: Array) -> Array:
-        """Jᵀv (B, P) for v (B, N)."""
+        """Return Jᵀv (B, P) for v (B, N)."""
         parts = [
             (seen @ (delta * v[:, None]).swapaxes(-1, -2)).reshape(self.networks, -1)
             for seen, delta in self._layers()
@@ -220,14 +241,14 @@ class Linearised:
         return self._arrays.concatenate(parts)
 
     def times(self, matrices: list[Array]) -> Array:
-        """J·u (B, N) for u given as one matrix (B, inputs + 1, units) per layer."""
+        """Return J·u (B, N) for a vector u that is passed as one matrix per layer."""
         return sum(
             ((matrix.swapaxes(-1, -2) @ seen) * delta).sum(1)
             for matrix, (seen, delta) in zip(matrices, self._layers(), strict=True)
         )
 
     def normal_matrix(self) -> Array:
-        """JᵀJ (B, P, P); on the CPU only its lower triangle is filled."""
+        """Return JᵀJ (B, P, P); on the CPU only the lower triangle is computed."""
         total = self._arrays.zeros((self.networks, self.weights, self.weights))
         parts = -(-self.rows // CHUNK)
         edges = [self.rows * k // parts for k in range(parts + 1)]
@@ -241,7 +262,7 @@ class Linearised:
         return total
 
     def kernel(self) -> Array:
-        """J·Jᵀ (B, N, N), its blocks on and below the diagonal; the rest is 0."""
+        """Return J·Jᵀ (B, N, N) in blocks on and below the diagonal; other entries are 0."""
         total = self._arrays.zeros((self.networks, self.rows, self.rows))
         for start in range(0, self.rows, BLOCK):
             stop = min(start + BLOCK, self.rows)
@@ -260,10 +281,10 @@ Precision = Literal["float64", "float32"]
 
 
 def arrays_on(device: str, precision: Precision) -> Arrays:
-    """Return arrays on `cpu` (numpy), or on a device of torch: `cuda`, `cuda:1`, `torch-cpu`.
+    """Return the array backend for `cpu` (numpy) or a torch device: `cuda`, `cuda:1`, `torch-cpu`.
 
     Raises:
-        SpecError: torch is missing, or has no such device.
+        SpecError: torch is not installed, or does not have the requested device.
     """
     if device == "cpu":
         return NumpyArrays(precision)
@@ -278,13 +299,13 @@ def arrays_on(device: str, precision: Precision) -> Arrays:
 
 
 class Arrays(Protocol):
-    """Where networks are computed and with how many digits."""
+    """Interface of an array backend with a device and a precision."""
 
     def asarray(self, values: FloatArray) -> Array:
-        """To the device and the precision."""
+        """Convert values to the device and precision of the backend."""
 
     def inputs(self, X: FloatArray) -> Array:
-        """(N, d) or (B, N, d) as (1 or B, d + 1, N) with a row of ones."""
+        """Return inputs (N, d) or (B, N, d) as (1 or B, d + 1, N) with a row of ones."""
         batch = X[None] if X.ndim == 2 else X
         networks, rows, inputs = batch.shape
         out = np.ones((networks, inputs + 1, rows))
@@ -292,82 +313,82 @@ class Arrays(Protocol):
         return self.asarray(out)
 
     def to_numpy(self, values: Array) -> FloatArray:
-        """Back to float64 on the CPU."""
+        """Convert values to float64 on the CPU."""
 
     def empty(self, shape: tuple[int, ...]) -> Array:
-        """Memory with anything in it."""
+        """Return an uninitialised array."""
 
     def zeros(self, shape: tuple[int, ...]) -> Array:
-        """Zeros."""
+        """Return an array of zeros."""
 
     def ones_like(self, values: Array) -> Array:
-        """Ones of the same shape."""
+        """Return an array of ones with the same shape."""
 
     def concatenate(self, parts: list[Array]) -> Array:
-        """Along the second axis."""
+        """Concatenate arrays along the second axis."""
 
     def multiply(self, a: Array, b: Array, *, out: Array) -> None:
-        """a·b into `out`, with broadcasting."""
+        """Write the product a·b, with broadcasting, into `out`."""
 
     def with_ones(self, total: Array, *, tanh: bool) -> Array:
-        """(B, u, N) through its activation, and a row of ones below."""
+        """Apply the activation function to (B, u, N) and append a row of ones."""
 
     def add_gram(self, J: Array, total: Array) -> None:
-        """Add J·Jᵀ of (B, P, n) to (B, P, P); the lower triangle is enough."""
+        """Add J·Jᵀ, for J (B, P, n), to `total` (B, P, P); only the lower triangle is required."""
 
     def solve(self, matrix: Array, shift: FloatArray, target: Array) -> tuple[Array, BoolArray]:
-        """(matrix + shift·1)⁻¹ target in float64.
+        """Return (matrix + shift·1)⁻¹ target, computed in float64.
 
         Args:
-            matrix: (B, m, m), symmetric, lower triangle.
-            shift: (B,).
-            target: (B, m).
+            matrix: (B, m, m) symmetric matrices, of which the lower triangle is used.
+            shift: (B,) numbers that are added to the diagonals of the matrices.
+            target: (B, m) right-hand sides of the equations.
 
         Returns:
-            (B, m), and (B,) whether the matrix was positive definite.
+            Solutions (B, m), and whether each shifted matrix was positive definite (B,).
         """
 
     def mean_diagonal(self, matrix: Array) -> FloatArray:
-        """(B,) trace over size."""
+        """Return the mean of the diagonal (B,) of each matrix."""
 
 
 class NumpyArrays(Arrays):
-    """On the CPU, through BLAS and LAPACK."""
+    """Array backend on the CPU, which uses BLAS and LAPACK."""
 
     def __init__(self, precision: Precision) -> None:
         self._dtype: Any = np.dtype(precision)
         self._syrk: Any = blas.ssyrk if precision == "float32" else blas.dsyrk
 
     def asarray(self, values: FloatArray) -> Array:
-        """To the precision."""
+        """Convert values to the precision of the backend."""
         return np.ascontiguousarray(values, dtype=self._dtype)
 
     def to_numpy(self, values: Array) -> FloatArray:
-        """To float64."""
+        """Convert values to float64."""
         return np.asarray(values, dtype=np.float64)
 
     def empty(self, shape: tuple[int, ...]) -> Array:
-        """Memory with anything in it."""
+        """Return an uninitialised array."""
         return np.empty(shape, dtype=self._dtype)
 
     def zeros(self, shape: tuple[int, ...]) -> Array:
-        """Zeros."""
+        """Return an array of zeros."""
         return np.zeros(shape, dtype=self._dtype)
 
     def ones_like(self, values: Array) -> Array:
-        """Ones of the same shape."""
+        """Return an array of ones with the same shape."""
         return np.ones_like(values)
 
     def concatenate(self, parts: list[Array]) -> Array:
-        """Along the second axis."""
+        """Concatenate arrays along the second axis."""
         return np.concatenate(parts, axis=1)
 
     def multiply(self, a: Array, b: Array, *, out: Array) -> None:
-        """a·b into `out`."""
+        """Write the product a·b into `out`."""
         np.multiply(a, b, out=out)
 
     def with_ones(self, total: Array, *, tanh: bool) -> Array:
-        """(B, u, N) through its activation, and a row of ones below."""
+        """Apply the activation function to (B, u, N) and append a row of ones."""
         networks, units, rows = total.shape
         out = self.empty((networks, units + 1, rows))
         out[:, -1] = 1
@@ -378,14 +399,14 @@ class NumpyArrays(Arrays):
         return out
 
     def add_gram(self, J: Array, total: Array) -> None:
-        """Add J·Jᵀ to the lower triangles."""
+        """Add J·Jᵀ to the lower triangles of `total`."""
         for part, matrix in zip(J, total, strict=True):
-            # The transposed views are in Fortran's order: nothing is copied. Its upper triangle
-            # is our lower one.
+            # The transposed views are in Fortran order, so BLAS copies nothing. The upper triangle
+            # of a view is the lower triangle of the matrix.
             self._syrk(1.0, part.T, beta=1.0, c=matrix.T, trans=1, lower=0, overwrite_c=1)
 
     def solve(self, matrix: Array, shift: FloatArray, target: Array) -> tuple[Array, BoolArray]:
-        """(matrix + shift·1)⁻¹ target by Cholesky, one network after the other."""
+        """Return (matrix + shift·1)⁻¹ target by Cholesky factorisation, one network at a time."""
         solution = np.zeros(target.shape)
         definite = np.zeros(len(target), dtype=bool)
         for b in range(len(target)):
@@ -398,20 +419,20 @@ class NumpyArrays(Arrays):
         return solution.astype(self._dtype), definite
 
     def mean_diagonal(self, matrix: Array) -> FloatArray:
-        """(B,) trace over size."""
+        """Return the mean of the diagonal (B,) of each matrix."""
         return np.asarray(np.einsum("bii->b", matrix) / matrix.shape[1], dtype=np.float64)
 
 
 class TorchArrays(Arrays):
-    """On a device of torch, all networks in one call.
+    """Array backend on a torch device, which computes all networks in one call.
 
     Args:
-        torch: The module, which only a GPU needs and which takes seconds to import.
-        device: As torch names it.
-        precision: Of all but the solution of equations.
+        torch: Module `torch`, passed as an argument because importing it takes seconds.
+        device: Name of the torch device.
+        precision: Precision of all values; equations are always solved in float64.
 
     Raises:
-        SpecError: torch has no such device here.
+        SpecError: torch does not have the requested device.
     """
 
     def __init__(self, torch: Any, device: str, precision: Precision) -> None:
@@ -427,44 +448,44 @@ class TorchArrays(Arrays):
         self._dtype: Any = getattr(torch, precision)
 
     def asarray(self, values: FloatArray) -> Array:
-        """To the device and the precision."""
+        """Convert values to the device and precision of the backend."""
         return self._torch.as_tensor(values, dtype=self._dtype, device=self._device).contiguous()
 
     def to_numpy(self, values: Array) -> FloatArray:
-        """Back to float64 on the CPU."""
+        """Convert values to float64 on the CPU."""
         return np.asarray(values.double().cpu().numpy())
 
     def empty(self, shape: tuple[int, ...]) -> Array:
-        """Memory with anything in it."""
+        """Return an uninitialised array."""
         return self._torch.empty(shape, dtype=self._dtype, device=self._device)
 
     def zeros(self, shape: tuple[int, ...]) -> Array:
-        """Zeros."""
+        """Return an array of zeros."""
         return self._torch.zeros(shape, dtype=self._dtype, device=self._device)
 
     def ones_like(self, values: Array) -> Array:
-        """Ones of the same shape."""
+        """Return an array of ones with the same shape."""
         return self._torch.ones_like(values)
 
     def concatenate(self, parts: list[Array]) -> Array:
-        """Along the second axis."""
+        """Concatenate arrays along the second axis."""
         return self._torch.cat(parts, dim=1)
 
     def multiply(self, a: Array, b: Array, *, out: Array) -> None:
-        """a·b into `out`."""
+        """Write the product a·b into `out`."""
         self._torch.mul(a, b, out=out)
 
     def with_ones(self, total: Array, *, tanh: bool) -> Array:
-        """(B, u, N) through its activation, and a row of ones below."""
+        """Apply the activation function to (B, u, N) and append a row of ones."""
         value = self._torch.tanh(total) if tanh else total
         return self._torch.cat([value, self._torch.ones_like(value[:, :1])], dim=1)
 
     def add_gram(self, J: Array, total: Array) -> None:
-        """Add J·Jᵀ, the whole of it."""
+        """Add J·Jᵀ to the full matrices `total`."""
         total.baddbmm_(J, J.mT)
 
     def solve(self, matrix: Array, shift: FloatArray, target: Array) -> tuple[Array, BoolArray]:
-        """(matrix + shift·1)⁻¹ target by Cholesky, all networks at once."""
+        """Return (matrix + shift·1)⁻¹ target by Cholesky factorisation, all networks at once."""
         shifted = matrix.double().clone()
         added = self._torch.as_tensor(shift, dtype=self._torch.float64, device=self._device)
         shifted.diagonal(dim1=-2, dim2=-1).add_(added[:, None])
@@ -474,5 +495,5 @@ class TorchArrays(Arrays):
         return solution.to(self._dtype), definite
 
     def mean_diagonal(self, matrix: Array) -> FloatArray:
-        """(B,) trace over size."""
+        """Return the mean of the diagonal (B,) of each matrix."""
         return self.to_numpy(matrix.diagonal(dim1=-2, dim2=-1).double().mean(-1))

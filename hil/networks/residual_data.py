@@ -1,14 +1,15 @@
-"""What a residual network sees and learns from: settings, motions, inputs, crops, slow and fast.
+"""Training data of a residual network: settings, motions, inputs, crops, slow and fast parts.
 
-`ResidualSettings` says what the network sees, how far back, and how large it is. `Motions` holds
-the series of a dataset, `NetworkInputs` scales them into the numbers that go in, `Segments` cuts
-them into crops to train on. Nothing here needs torch.
+`ResidualSettings` selects the inputs of the network, its memory and its size. `Motions` contains
+the series of a dataset, `NetworkInputs` scales them into network inputs, and `Segments` cuts them
+into crops for training. The module `residual_data` does not need torch.
 
-`slow_and_fast` parts a residual (PINN paper, eq. 24): what is slow has the frequencies of the
-motion; what is fast comes from reversals. The parts are labels to learn from: the filter may look
-ahead, since nothing that predicts ever runs it. But it must not look at what is judged: it runs
-from the first row of a series that is learned from to the last, and rows between them that are not
-are bridged by straight lines.
+`slow_and_fast` splits a residual into two parts (PINN paper, eq. 24). The slow part of a residual
+has the frequencies of the motion; the fast part is caused by reversals of joints. The slow part and
+the fast part are training targets. The filter that separates the parts may use later samples,
+because the filter is not used for predictions. The filter must not use test rows. In each series
+the filter therefore runs from the first to the last training row. All other rows in this range are
+replaced by linear interpolation.
 """
 
 from __future__ import annotations
@@ -30,16 +31,16 @@ Layout = Literal["grouped", "joint"]
 Activation = Literal["tanh", "relu"]
 
 CHANNELS: dict[Layout, int] = {"grouped": 12, "joint": 48}
-"""Channels of a layer in each group, unless told."""
+"""Default number of channels of a layer in each group, by layout."""
 
 APART_HZ = 249.0
-"""Instants learned from are no rarer: five times the band of motions and efforts at 50 Hz."""
+"""Lower limit of the rate of training instants [Hz]: five times the signal band of 50 Hz."""
 
 MOST_SAMPLES = 100_000
-"""That a network reaches back, or predicts at once: 100 s at 1 kHz, and far more than pays."""
+"""Maximum memory of a network and maximum length of a crop [samples]; 100 s at 1 kHz."""
 
 GROUP = "residual"
-"""Name of the parameters for stages and rates of training: all of them."""
+"""Name of the only parameter group, used in stages and learning rates."""
 
 TRAINING: dict[str, Any] = {
     "epochs": 60,
@@ -48,34 +49,43 @@ TRAINING: dict[str, Any] = {
     "loss": "mse",
     "patience": 20,
 }
-"""What `TrainingSettings` should be for a residual network unless told; a sample is a crop."""
+"""Default `TrainingSettings` of a residual network; each training sample is a crop."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualSettings:
-    """The residual network, after eq. 24–27 of the PINN paper.
+    """Settings of the residual network, after eq. 24–27 of the PINN paper.
 
     Attributes:
-        inputs: `motion`: no torque. `history`: measured torque that ends `latency_s` before the
-            instant it predicts. `measured`: the torque of that instant, the very quantity it is
-            to predict, as the paper has it.
-        latency_s: How old the newest torque of `history` is [s].
-        layout: `grouped`: a network for each joint, which sees that joint alone. `joint`: one
-            for all, which sees q, q̇ and q̈ of all, as in the paper.
-        dilations: Steps between the taps of each layer [samples].
-        kernel: Taps of each layer.
-        channels: Of every layer, in each group; None: 12 grouped, 48 joint.
-        activation: Of every layer.
-        split: A network each for what is slow and what is fast in the residual (eq. 24). None:
-            only where one network serves all joints. Joints' own networks do better without: the
-            slow part alone, of a few trajectories, is soon remembered instead of understood.
-        f_cut_hz: Where it is split; `auto` takes it from the spectrum of the motion.
-        sign_widths: [rad/s] of the smooth signs tanh(q̇/width) that grouped networks see.
-        base_input: Grouped networks see what the physical model predicts.
-        crop: Instants that a training sample predicts.
-        every: They are so many samples apart, while windows have every sample: neighbours of a
-            filtered signal teach the same twice. It divides all dilations but the first, which
-            makes the others cheap as well. None: as far apart as `APART_HZ` allows.
+        inputs: Torque inputs of the network: `motion`, `history` or `measured`. With `motion`, the
+            network has no torque inputs. With `history`, the network uses the measured torque up to
+            `latency_s` before the predicted instant. With `measured`, the network uses the torque
+            of the predicted instant, as in the PINN paper, although this torque is the quantity to
+            be predicted.
+        latency_s: Age of the newest torque that a network with `history` uses [s].
+        layout: Assignment of networks to joints: `grouped` or `joint`. With `grouped`, there is one
+            network per joint, which uses only the inputs of that joint. With `joint`, there is one
+            network for all joints, which uses q, q̇ and q̈ of all joints, as in the PINN paper.
+        dilations: Distance between the taps of each layer [samples].
+        kernel: Number of taps of each layer.
+        channels: Number of channels of every layer in each group; None means 12 for `grouped` and
+            48 for `joint`.
+        activation: Activation function of every layer.
+        split: Whether the slow and the fast part of the residual have separate networks (eq. 24). A
+            `split` of None means true for layout `joint` and false for `grouped`. Networks of
+            single joints have a lower error without the split, because the slow part of few
+            trajectories is soon overfitted.
+        f_cut_hz: Cut-off frequency of the split [Hz]; with `auto`, the cut-off frequency is derived
+            from the spectrum of the motion.
+        sign_widths: Widths [rad/s] of the smooth signs tanh(q̇/width) among the inputs of grouped
+            networks.
+        base_input: Whether the prediction of the physical model is an input of grouped networks.
+        crop: Number of instants that the network predicts for one training sample.
+        every: Distance between the predicted instants of a crop [samples]; the input windows
+            contain every sample. A distance above 1 loses little, because neighbouring samples of a
+            filtered signal contain the same information. The distance must divide all dilations but
+            the first, and reduces the cost of all layers after the first. With `every` None, the
+            distance is the largest that `APART_HZ` permits.
     """
 
     inputs: Heard = "motion"
@@ -107,7 +117,7 @@ class ResidualSettings:
             raise SpecError(
                 f"kernel {self.kernel} and dilations {', '.join(map(str, self.dilations))} reach "
                 f"back {self.window} samples, but at most {MOST_SAMPLES} are allowed",
-                hint="give fewer or smaller dilations",
+                hint="use fewer or smaller dilations",
             )
         if self.every is not None:
             self._whole("every", at_least=1)
@@ -128,33 +138,34 @@ class ResidualSettings:
         self._set(name, whole(name, getattr(self, name), at_least=at_least, at_most=at_most))
 
     def _set(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)  # what counts must be an int, not 5.0
+        object.__setattr__(self, name, value)  # counts are stored as int, not as 5.0
 
     @property
     def window(self) -> int:
-        """Samples an output depends on, the newest among them: l of eq. 25."""
+        """Number of samples on which an output depends, including the newest one: l of eq. 25."""
         return 1 + (self.kernel - 1) * sum(self.dilations)
 
     @property
     def width(self) -> int:
-        """Channels of a layer in each group."""
+        """Number of channels of a layer in each group."""
         return CHANNELS[self.layout] if self.channels is None else self.channels
 
     @property
     def branches(self) -> int:
-        """Networks whose outputs are added: slow and fast, or one for both."""
+        """Number of networks whose outputs are added: 2 for slow and fast part, 1 for the sum."""
         return 2 if self.parted else 1
 
     @property
     def parted(self) -> bool:
-        """True if slow and fast have networks of their own."""
+        """Whether the slow part and the fast part of the residual have separate networks."""
         return self.layout == "joint" if self.split is None else self.split
 
     @property
     def protocol(self) -> str:
-        """`honest`, with the least age of the torque it hears, or how it departs from that.
+        """Evaluation protocol: `honest`, with the minimum age of torque inputs, or a deviation.
 
-        It is older where the latency is no whole number of samples.
+        If the latency is not a whole number of samples, the torque inputs are older than the
+        reported age.
         """
         if self.inputs == "measured":
             return "paper: measured torque among the inputs"
@@ -163,13 +174,13 @@ class ResidualSettings:
         return "honest"
 
     def lag(self, rate_hz: float) -> int:
-        """Samples between the newest torque that is heard and the instant predicted."""
-        # A hair is taken off so that 20 ms at 1 kHz are 20 samples however the rate is rounded.
+        """Return the number of samples from the newest torque input to the predicted instant."""
+        # The factor makes 20 ms at 1 kHz give 20 samples in spite of rounding of the rate.
         samples = -int(-self.latency_s * rate_hz * (1.0 - 1e-6) // 1)
         return max(1, samples) if self.inputs == "history" else 0
 
     def apart(self, rate_hz: float) -> int:
-        """Samples between instants that are learned from."""
+        """Return the number of samples between two predicted instants of a crop."""
         if self.every is not None:
             return self.every
         fits = [k for k in range(1, self._common + 1) if self._common % k == 0]
@@ -177,19 +188,19 @@ class ResidualSettings:
 
     @property
     def _common(self) -> int:
-        """Largest number that divides all dilations but the first; 1 without any."""
+        """Greatest common divisor of all dilations but the first; 1 with a single dilation."""
         return max(1, gcd(*self.dilations[1:]))
 
     def to_json(self) -> dict[str, Any]:
-        """All settings, as `given` reads them."""
+        """Return all settings in the form that `given` accepts."""
         return asdict(self)
 
     @staticmethod
     def given(settings: dict[str, Any]) -> ResidualSettings:
-        """From keyword arguments; lists stand for tuples.
+        """Return residual settings from keyword arguments, which contain lists in place of tuples.
 
         Raises:
-            SpecError: There is no such setting, or it cannot have that value.
+            SpecError: A setting is unknown or has an invalid value.
         """
         require_known(settings, tuple(f.name for f in fields(ResidualSettings)), "network")
         listed: dict[str, Any] = {
@@ -206,7 +217,7 @@ def _several(name: str, values: Any) -> tuple[Any, ...]:
 
 
 RATE_TOLERANCE = 0.05
-"""Difference of sample rates, as a share, beyond which a network's memory means another time."""
+"""Largest relative difference of sample rates at which a network's memory is considered equal."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,11 +225,12 @@ class Motions:
     """Series of evenly spaced samples of n joints.
 
     Attributes:
-        q, qd, qdd: (N, n) [rad, rad/s, rad/s²].
-        base: (N, n) effort the physical model predicts.
-        effort: (N, n) measured effort that may be heard, in the unit of `base`; None without.
-        offsets: (S + 1,) row at which each series begins; the last entry is N.
-        rate_hz: Samples per second of the series that move.
+        q, qd, qdd: (N, n) position, velocity and acceleration [rad, rad/s, rad/s²].
+        base: (N, n) effort predicted by the physical model.
+        effort: (N, n) measured effort for the network inputs, in the unit of `base`; None if the
+            network does not use the measured effort.
+        offsets: (S + 1,) number of the row at which each series begins; the last entry is N.
+        rate_hz: Sample rate of the series in motion [Hz].
     """
 
     q: FloatArray
@@ -231,18 +243,20 @@ class Motions:
 
     @staticmethod
     def of(dataset: Dataset, base: FloatArray, settings: ResidualSettings) -> Motions:
-        """Of a dataset with filtered columns, no rows left out.
+        """Return the motions of a dataset, with all rows and filtered columns.
 
-        A history of torque is taken as recorded: a filter without phase shift would bring what
-        comes later into what has been. The paper's `measured` torque is the filtered one.
+        For `inputs: history` the recorded torque is used, because a zero-phase filter would mix
+        later values into earlier ones. For `inputs: measured` the filtered torque is used, as in
+        the PINN paper.
 
         Args:
-            dataset: Prepared (`hil.data.prepare`).
-            base: (N, n) what the physical model predicts for its rows, in its unit of effort.
-            settings: Which torque is heard.
+            dataset: Prepared dataset (`hil.data.prepare`).
+            base: (N, n) prediction of the physical model for the rows, in the effort unit of that
+                model.
+            settings: Settings that select the torque input.
 
         Raises:
-            DataError: Nothing moves, or series are sampled at different rates.
+            DataError: No series is in motion, or series have different sample rates.
         """
         effort = {"motion": None, "history": "effort", "measured": "effort_f"}[settings.inputs]
         return Motions(
@@ -264,26 +278,27 @@ class Motions:
         return int(self.q.shape[1])
 
     def slices(self) -> Iterator[slice]:
-        """The rows of each series that has any."""
+        """Yield the rows of each series that is not empty."""
         for start, stop in pairwise(self.offsets.tolist()):
             if stop > start:
                 yield slice(start, stop)
 
     def heard(self, settings: ResidualSettings) -> FloatArray | None:
-        """(N, n) torque as each row hears it, NaN where none has arrived; None: it hears none.
+        """Return the torque input (N, n) of each row, or None for `inputs: motion`.
 
-        A joint's own network hears what the physical model left then; one for all joints hears
-        the torque.
+        The torque input of a row is NaN if no torque has arrived yet. With layout `grouped` and
+        inputs `history`, the torque input is the past residual of the physical model; otherwise the
+        torque input is the torque itself.
 
         Raises:
-            DataError: It should hear a torque, and there is none.
+            DataError: The network needs a measured torque, but the motions have no measured torque.
         """
         if settings.inputs == "motion":
             return None
         if self.effort is None:
             raise DataError(
-                f"inputs: {settings.inputs} needs the measured torque, but none was given",
-                hint="give recordings with an effort, or choose inputs: motion",
+                f"inputs: {settings.inputs} needs the measured torque, but the data have none",
+                hint="use recordings with an effort, or set inputs: motion",
             )
         if settings.inputs == "measured":
             return self.effort
@@ -297,32 +312,33 @@ class Motions:
 
 
 def one_rate(dataset: Dataset) -> float:
-    """Samples per second of the series that move; those at rest may have any rate.
+    """Return the sample rate [Hz] of the series in motion; static series may have any rate.
 
     Raises:
-        DataError: Nothing moves for at least two samples, or two series differ by more than 5 %.
+        DataError: No motion has at least two samples, or the rates of two series differ by over 5
+            %.
     """
     rates = motion_rates(dataset)
     if not rates:
         raise DataError(
-            "a residual network needs a motion of at least two samples, but there is none",
+            "a residual network needs a motion of at least two samples, but the data have none",
             hint="give trajectories",
         )
     (low, slow), (high, quick) = min(rates), max(rates)
     if high > (1.0 + RATE_TOLERANCE) * low:
         raise DataError(
-            f"{slow} is sampled at {low:.4g} Hz and {quick} at {high:.4g} Hz, but the memory of "
-            "a residual network counts samples",
-            hint="use recordings of one rate",
+            f"{slow} is sampled at {low:.4g} Hz and {quick} at {high:.4g} Hz, but a residual "
+            "network needs one sample rate",
+            hint="use recordings with the same sample rate",
         )
     return float(np.median([rate for rate, _ in rates]))
 
 
 def require_one_rate(data: Dataset) -> None:
-    """Refuse series sampled at different rates: a network's memory counts samples.
+    """Raise if series have different sample rates, because a network's memory counts samples.
 
     Raises:
-        FitError: Two series differ by more than 5 %, or nothing moves.
+        FitError: The rates of two series differ by more than 5 %, or no series is in motion.
     """
     try:
         one_rate(data)
@@ -331,7 +347,7 @@ def require_one_rate(data: Dataset) -> None:
 
 
 def in_motion(data: Dataset) -> BoolArray:
-    """(N,) rows of series that move: networks know nothing of arms at rest."""
+    """Return a mask (N,) of the rows of series in motion; networks apply only to these rows."""
     moving = np.zeros(len(data), dtype=bool)
     for condition, rows in data.slices():
         moving[rows] = condition.kind not in AT_REST
@@ -339,7 +355,7 @@ def in_motion(data: Dataset) -> BoolArray:
 
 
 def trajectory_numbers(data: Dataset) -> IntArray:
-    """(N,) number of the trajectory of every row, the same whatever the load."""
+    """Return the trajectory number (N,) of every row, which does not depend on the mounted load."""
     known = [group_of(condition, "trajectory") for condition in data.conditions]
     keys = [("series", i) if group is None else group for i, group in enumerate(known)]
     numbers = {key: i for i, key in enumerate(dict.fromkeys(keys))}
@@ -347,19 +363,20 @@ def trajectory_numbers(data: Dataset) -> IntArray:
 
 
 TINY = 1e-9
-"""Added to scales: a joint that never moved is divided by something."""
+"""Constant added to scales; without the constant, the scale of a joint that never moves is zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InputScales:
-    """Means and deviations of the rows learned from, (n,) each, and the range of the inputs.
+    """Means and standard deviations (n,) of the training rows, and the range of the inputs.
 
-    Beyond the range it was trained in nobody knows what a network says: inputs are held at its
-    ends.
+    Network inputs are clipped to the range of the training rows, because the output of a network
+    outside that range is unpredictable.
 
     Attributes:
-        q_mean, q, qd, qdd, base_mean, base, heard_mean, heard: Means, and deviations to divide by.
-        lowest, highest: (G, F) of the scaled inputs.
+        q_mean, q, qd, qdd, base_mean, base, heard_mean, heard: Means (`…_mean`) and divisors of the
+            inputs.
+        lowest, highest: (G, F) minimum and maximum of the scaled inputs in the training rows.
     """
 
     q_mean: FloatArray
@@ -374,17 +391,17 @@ class InputScales:
     highest: FloatArray
 
     def to_arrays(self) -> dict[str, FloatArray]:
-        """By name."""
+        """Return the arrays by name."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @staticmethod
     def from_arrays(
         arrays: Mapping[str, FloatArray], settings: ResidualSettings, n: int
     ) -> InputScales:
-        """Inverse of `to_arrays`, for n joints.
+        """Return the scales of n joints from the result of `to_arrays`.
 
         Raises:
-            DataError: An array is missing or has another shape.
+            DataError: An array is missing or has a wrong shape.
         """
         shapes: dict[str, tuple[int, ...]] = {f.name: (n,) for f in fields(InputScales)}
         shapes |= dict.fromkeys(("lowest", "highest"), group_shape(settings, n))
@@ -392,13 +409,13 @@ class InputScales:
             found = np.shape(arrays[name]) if name in arrays else None
             if found != shape:
                 raise DataError(
-                    f"the residual network's scale {name} has shape {found}, not {shape}"
+                    f"the residual network's scale {name} has the shape {found}, not {shape}"
                 )
         return InputScales(**{name: np.asarray(arrays[name]) for name in shapes})
 
 
 def group_shape(settings: ResidualSettings, n: int) -> tuple[int, int]:
-    """(G, F): groups of inputs, and how many each sees."""
+    """Return (G, F): the number of input groups and the number of inputs per group."""
     heard = int(settings.inputs != "motion")
     if settings.layout == "joint":
         return 1, n * (3 + heard)
@@ -406,11 +423,11 @@ def group_shape(settings: ResidualSettings, n: int) -> tuple[int, int]:
 
 
 class NetworkInputs:
-    """Inputs by layout: G groups of F numbers, every joint its own or one group for all.
+    """Scaled network inputs: G groups of F numbers, with one group per joint or one for all joints.
 
     Args:
-        settings: Which inputs.
-        scales: From `scaled_to`, or of a stored network.
+        settings: Settings that select the inputs.
+        scales: Scales from the method `scaled_to` or from a stored network.
     """
 
     def __init__(self, settings: ResidualSettings, scales: InputScales) -> None:
@@ -419,7 +436,7 @@ class NetworkInputs:
 
     @staticmethod
     def scaled_to(motions: Motions, rows: BoolArray, settings: ResidualSettings) -> NetworkInputs:
-        """Inputs scaled by the rows (N,) to be learned from."""
+        """Return network inputs whose scales are computed from the training rows (N,)."""
         n = motions.n
         heard = motions.heard(settings)
         heard = np.zeros((len(motions), n)) if heard is None else heard
@@ -428,7 +445,7 @@ class NetworkInputs:
         scales = InputScales(
             q_mean=motions.q[rows].mean(axis=0),
             q=motions.q[rows].std(axis=0) + TINY,
-            # Velocities and accelerations keep their zero: it means rest.
+            # Velocities and accelerations are not centred, because zero means standstill.
             qd=_rms(motions.qd[rows]),
             qdd=_rms(motions.qdd[rows]),
             base_mean=motions.base[rows].mean(axis=0),
@@ -444,7 +461,7 @@ class NetworkInputs:
         return NetworkInputs(settings, InputScales(**ranged))
 
     def of(self, motions: Motions) -> FloatArray:
-        """(N, G, F) for every row."""
+        """Return the inputs (N, G, F) of every row."""
         heard = motions.heard(self.settings)
         return self.rows(motions.q, motions.qd, motions.qdd, motions.base, heard)
 
@@ -456,13 +473,13 @@ class NetworkInputs:
         base: FloatArray,
         heard: FloatArray | None,
     ) -> FloatArray:
-        """(N, G, F) from arrays (N, n); `heard` as `Motions.heard` has it."""
+        """Return the inputs (N, G, F) for arrays (N, n); `heard` comes from `Motions.heard`."""
         by_joint = self._grouped(qd, qdd, base) if self._own else self._joint(q, qd, qdd)
         if heard is not None:
             scaled = (heard - self.scales.heard_mean) / self.scales.heard
-            # What has not arrived yet is taken for the mean.
+            # Values that have not arrived yet are replaced by the mean.
             by_joint.append(np.where(np.isfinite(scaled), scaled, 0.0))
-        # (N, n, F) as it is, or all joints' numbers one behind the other.
+        # (N, n, F) if grouped, else (N, 1, n·F).
         stacked = np.stack(by_joint, axis=-1)
         stacked = stacked if self._own else stacked.reshape(len(q), 1, -1)
         clipped: FloatArray = np.clip(stacked, self.scales.lowest, self.scales.highest)
@@ -489,19 +506,21 @@ def _rms(values: FloatArray) -> FloatArray:
 
 
 BEHIND = -1
-"""In place of a row: the series has ended."""
+"""Row number that marks positions after the end of a series."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
-    """Where crops lie in arrays whose series have `window - 1` rows of their first row before.
+    """Positions of crops in arrays whose series are padded at the start by `window - 1` rows.
+
+    The padding at the start of a series repeats the first row of the series.
 
     Attributes:
-        padded: (P,) row of the recording that each padded row holds.
-        starts: (C,) padded row at which each crop's first window begins.
-        rows: (C, crop) row of the recording each output of a crop is for.
-        counted: (C, crop) true where that output is learned from or judged.
-        every: Rows between outputs.
+        padded: (P,) row of the recording for each padded row.
+        starts: (C,) padded row at which the first window of each crop begins.
+        rows: (C, crop) row of the recording for each output of a crop.
+        counted: (C, crop) whether each output contributes to the loss or the validation error.
+        every: Number of rows between outputs.
     """
 
     padded: IntArray
@@ -512,10 +531,16 @@ class Segments:
 
     @staticmethod
     def of(motions: Motions, counted: BoolArray, settings: ResidualSettings) -> Segments:
-        """Crops that tile every series and hold rows (N,) that count.
+        """Return crops that cover every series and contain at least one counted row.
 
-        Neighbouring crops begin their instants a row apart, so that no phase is left out. What is
-        behind the end of a series is held at its last row and not counted.
+        The predicted instants of neighbouring crops are shifted by one row relative to each other;
+        the crops thus contain all phases. Positions of a crop after the end of a series repeat the
+        last row of the series and do not count.
+
+        Args:
+            motions: Motions to be divided into crops.
+            counted: (N,) mask of the rows to predict.
+            settings: Settings of the network.
         """
         every, crop = settings.apart(motions.rate_hz), settings.crop
         before, span = settings.window - 1, settings.crop * every
@@ -546,44 +571,49 @@ class Segments:
         return len(self.starts)
 
     def inputs_of(self, numbers: IntArray, settings: ResidualSettings) -> IntArray:
-        """(B, (crop - 1)·every + window) padded rows that go into the crops (B,)."""
+        """Return the numbers of the padded rows that are the inputs of the crops (B,).
+
+        The returned array has the shape (B, (crop - 1)·every + window).
+        """
         length = (settings.crop - 1) * self.every + settings.window
         return np.asarray(self.starts[numbers, None] + np.arange(length))
 
 
 def sizes(parts: FloatArray, rows: BoolArray) -> FloatArray:
-    """(branches, n) root mean square of each part over the rows that are learned from."""
+    """Return the root mean square (branches, n) of each part over the training rows; 1 if zero."""
     root: FloatArray = np.sqrt(np.mean(parts[:, rows] ** 2, axis=1))
-    # A part that is nothing is learned as nothing.
+    # A part that is zero is not scaled.
     return np.where(root > 0.0, root, 1.0)
 
 
 POWER_SHARE = 0.99
-"""Of the joints' velocities that lies below the motion's highest frequency."""
+"""Share of the joints' velocity power below the highest frequency of the motion."""
 
 ORDER = 2
-"""Of the Butterworth filter, forwards and backwards."""
+"""Order of the Butterworth filter, which is applied forwards and backwards."""
 
 MOST_OF_NYQUIST = 0.8
-"""A cut-off above leaves nothing that is fast."""
+"""Share of the Nyquist frequency; a cut-off frequency above this share leaves no fast part."""
 
 
 def motion_frequency(motions: Motions, learn: BoolArray) -> float:
-    """The frequency [Hz] below which the motion's velocities have 99 % of their power.
+    """Return the frequency [Hz] below which the velocities of the motion have 99 % of their power.
 
-    Every joint counts alike, however quick it is; series are weighted by their length. Only rows
-    that are learned from (N,) have a say.
+    Every joint has the same weight, independent of its speed, and the weight of each series is its
+    length. The spectrum is computed from the training rows (N,) only.
 
     Raises:
-        DataError: Nothing moves.
+        DataError: No joint moves.
     """
     bridged = _bridged(motions.qd, motions, learn)
     found = (_cumulative(bridged[rows]) for rows in _spans(motions, learn))
     shares = [share for share in found if share is not None]
     if not shares:
-        raise DataError("no joint moves, so the motion has no frequency", hint="set f_cut_hz")
+        raise DataError(
+            "no joint moves, so the frequency of the motion is undefined", hint="set f_cut_hz"
+        )
     longest = max(len(share) for share in shares)
-    grid = np.linspace(0.0, 1.0, longest)  # of the Nyquist frequency
+    grid = np.linspace(0.0, 1.0, longest)  # share of the Nyquist frequency
     lengths = np.array([len(share) for share in shares], dtype=np.float64)
     spread = [np.interp(grid, np.linspace(0, 1, len(s)), s) for s in shares]
     mean = np.average(spread, axis=0, weights=lengths)
@@ -591,7 +621,7 @@ def motion_frequency(motions: Motions, learn: BoolArray) -> float:
 
 
 def _bridged(values: FloatArray, motions: Motions, learn: BoolArray) -> FloatArray:
-    """(N, n) with straight lines where rows within a span are not learned from."""
+    """Return values (N, n) in which all rows but the training rows are linearly interpolated."""
     out = np.array(values, dtype=np.float64)
     for rows in _spans(motions, learn):
         at = np.arange(rows.start, rows.stop)
@@ -602,7 +632,7 @@ def _bridged(values: FloatArray, motions: Motions, learn: BoolArray) -> FloatArr
 
 
 def _spans(motions: Motions, learn: BoolArray) -> Iterator[slice]:
-    """From the first row to the last that is learned from, of each series that has any."""
+    """Yield, for each series, the rows from its first to its last training row."""
     for rows in motions.slices():
         known = np.flatnonzero(learn[rows])
         if len(known):
@@ -610,7 +640,10 @@ def _spans(motions: Motions, learn: BoolArray) -> Iterator[slice]:
 
 
 def _cumulative(qd: FloatArray) -> FloatArray | None:
-    """Share of power up to each frequency, mean over the joints that move; None if none does."""
+    """Return the cumulative power per frequency, averaged over the moving joints, or None.
+
+    The returned value is None if no joint moves.
+    """
     window = np.hanning(len(qd) + 2)[1:-1, None]
     power = np.abs(np.fft.rfft(window * (qd - qd.mean(axis=0)), axis=0)) ** 2
     total = power.sum(axis=0)
@@ -624,14 +657,18 @@ def _cumulative(qd: FloatArray) -> FloatArray | None:
 def slow_and_fast(
     residual: FloatArray, motions: Motions, f_cut_hz: float, learn: BoolArray
 ) -> FloatArray:
-    """(2, N, n): what a zero-phase low-pass filter lets through, and the rest; they add up.
+    """Split a residual into a low-pass filtered part and the rest.
 
     Args:
-        residual: (N, n).
-        motions: Says where series begin and how fast they were sampled.
-        f_cut_hz: Cut-off [Hz].
-        learn: (N,) rows to learn from: their parts depend on no other row. Parts of the others
-            are good for nothing but their sum.
+        residual: (N, n) residual.
+        motions: Motions, which define the boundaries of the series and the sample rate.
+        f_cut_hz: Cut-off frequency [Hz].
+        learn: (N,) mask of the training rows; the parts in training rows do not depend on any other
+            row. In all rows except the training rows, only the sum of the two parts is meaningful.
+
+    Returns:
+        (2, N, n) slow part from a zero-phase filter, and fast part; the sum of both parts is the
+        residual.
     """
     slow = np.array(residual, dtype=np.float64)
     fraction = f_cut_hz / (0.5 * motions.rate_hz)
@@ -648,7 +685,7 @@ def _low_pass(values: FloatArray, fraction: float) -> FloatArray:
         return values
     if len(values) < 2:
         return values
-    # The ends are mirrored over a period of the cut-off: a shorter edge swings at slow cut-offs.
+    # Mirror the ends over one cut-off period: with less, low cut-offs cause oscillations.
     edge = min(len(values) - 1, int(2.0 / fraction))
     filtered: FloatArray = sosfiltfilt(
         butter(ORDER, fraction, output="sos"), values, axis=0, padlen=edge

@@ -1,16 +1,18 @@
-"""Physics first, then a small network for what it leaves, kept only where it helps.
+"""Estimator that combines physics with a small network for the residual.
 
-Any estimator can be the physics; by default `rigid-hysteresis`. What it leaves of trajectories it
-was not fitted to is learned, at the full recorded rate, by a causal convolutional network (PINN
-paper, section III-C): by default one per joint, which sees the motion of that joint and no torque.
-Joint by joint, the network is kept if it lowers the error on trajectories that neither it nor the
-physics was fitted to; the same errors give the bands that predictions carry. These trajectories
-chose the epoch at which the network stopped, too, so errors, bands and `coverage_` are slightly
-better than those on trajectories that had no part in it: an estimate, not a guarantee.
+Any estimator can provide the physics; the default is `rigid-hysteresis`. A causal convolutional
+network (PINN paper, section III-C) learns the residual of the physics on trajectories to which the
+physics was not fitted, at the full recorded rate. By default there is one network per joint, and
+its inputs are the motion of that joint and no torque. A joint uses its network only if the network
+lowers the error on trajectories to which neither the network nor the physics was fitted. The errors
+on the held-out trajectories determine the error bands of the predictions. The held-out trajectories
+also select the epoch whose weights are used. Errors, error bands and `coverage_` are therefore
+slightly optimistic: all three are estimates, not guarantees.
 
-The parts of a fit: `residual_selection.physics_of` deals the trajectories into folds and predicts
-each by physics fitted to the others; `residual_training.learn` trains the networks (the only step
-that needs torch); `residual_selection.Judged` decides which joints keep theirs.
+A fit consists of three steps. `residual_selection.physics_of` distributes the trajectories over
+folds and predicts each fold by physics fitted to the others. `residual_training.learn` trains the
+networks and is the only step that needs torch. `residual_selection.Judged` decides which joints use
+their network.
 """
 
 from __future__ import annotations
@@ -86,7 +88,7 @@ from hil.networks.training import (
 BASE = {"estimator": "rigid-hysteresis"}
 
 RESIDUAL = "residual"
-"""Component of a prediction that the network adds."""
+"""Name of the component that the network adds to a prediction."""
 
 
 def _base(name: str, value: Any) -> dict[str, Any]:
@@ -98,19 +100,22 @@ def _training(name: str, value: Any) -> dict[str, Any]:
 
 
 class ResidualNetwork(RobotEstimator):
-    """An estimator as physics, and a network for what it leaves.
+    """Estimator that provides the physics, and a network for its residual.
 
     Attributes:
-        base_: The fitted physics.
-        correction_: The networks, and the joints they were kept for.
-        selection_: The errors that decided it.
-        bands_: Half widths per joint and speed range.
-        coverage_: What such bands hold of left-out trajectories, by which networks were stopped.
-        curves_: How the training of the first network went.
-        filters_: Of the network's inputs and of what it learned.
-        by_sample_: Whether rows to learn from and to judge were drawn from the same motions.
-        watch_: Told every epoch while it fits; not stored.
-        checkpoints_: Folder to keep trainings in and to take them up from; not stored.
+        base_: Fitted physics.
+        correction_: Networks, and the joints for which they are used.
+        selection_: Joints for which the networks are used, with the errors on which this decision
+            is based.
+        bands_: Half widths of the error bands per joint and speed range.
+        coverage_: Share of held-out samples within the error bands; the same trajectories were used
+            for early stopping of the networks.
+        curves_: Learning curves of the first network.
+        filters_: Filter settings for the inputs and the target of the network.
+        by_sample_: Whether a study drew training rows and test rows from the same motions.
+        watch_: Function that is called with every epoch of a fit; not stored.
+        checkpoints_: Folder in which checkpoints are stored and from which trainings are resumed;
+            not stored.
     """
 
     estimator: ClassVar[str] = "residual"
@@ -129,53 +134,65 @@ class ResidualNetwork(RobotEstimator):
     checkpoints_: Path | None = None
 
     base: dict[str, Any] = parameter(
-        None, _base, doc="Name (`estimator`) and parameters of the physics."
+        None, _base, doc="Name (`estimator`) and parameters of the physical model."
     )
     inputs: str = parameter(
         "motion",
         as_given,
-        doc="What the network hears of torque: `motion` (nothing), `history` or `measured`.",
+        doc="Torque inputs of the network: none (`motion`), `history` or `measured`.",
     )
     layout: str = parameter(
-        "grouped", as_given, doc="`grouped` (one per joint) or `joint` (one for all)."
+        "grouped",
+        as_given,
+        doc="`grouped` (one network per joint) or `joint` (one network for all joints).",
     )
     latency_s: float = parameter(
-        0.02, as_given, doc="How old the newest torque of `history` is [s]."
+        0.02, as_given, doc="Minimum age of the newest torque input with `history` [s]."
     )
-    network: dict[str, Any] = parameter(None, mapping, doc="Any other of `ResidualSettings`.")
+    network: dict[str, Any] = parameter(None, mapping, doc="Other fields of `ResidualSettings`.")
     training: dict[str, Any] = parameter(
         None,
         _training,
-        doc="`TrainingSettings` that are to be others than usual for residual networks.",
+        doc="`TrainingSettings` that differ from the defaults of residual networks.",
     )
     folds: int = parameter(
         3,
         whole,
         at_least=1,
-        doc="Parts the trajectories are dealt into; the physics and a network are fitted without "
-        "each. With 1 a single network is trained on what the physics leaves of its own data.",
+        doc="Number of parts of the trajectories; the physics and a network are fitted without "
+        "each part. With 1, a single network is trained on the residual of the physics on "
+        "its own data.",
     )
     margin: float = parameter(
         0.02,
         number,
         at_least=0.0,
-        doc="Share of a joint's error that its network must save on left-out trajectories.",
+        doc="Minimum relative reduction of a joint's error by its network on left-out "
+        "trajectories.",
     )
     coverage: float = parameter(
-        0.9, share, doc="Share of samples that the bands are made for; an estimate."
+        0.9,
+        share,
+        doc="Share of samples that the error bands are designed to contain; an estimate.",
     )
     validation_share: float = parameter(
-        0.22, share, doc="Of the trajectories, to stop by where there are no folds."
+        0.22,
+        share,
+        doc="Share of the trajectories that is used for early stopping if there are no folds.",
     )
     filters: FilterSettings | None = parameter(
         None,
         settings,
         FilterSettings,
         optional=True,
-        doc="Of the network's inputs and of what it learns; the physics has its own.",
+        doc="Filters of the network's inputs and targets; the physics has separate filters.",
     )
     seed: int = parameter(
-        0, whole, at_least=0, at_most=MOST_SEED, doc="Of folds, start weights and mini-batches."
+        0,
+        whole,
+        at_least=0,
+        at_most=MOST_SEED,
+        doc="Random seed of folds, initial weights and mini-batches.",
     )
 
     def _check_together(self) -> None:
@@ -184,9 +201,9 @@ class ResidualNetwork(RobotEstimator):
 
     @property
     def protocol(self) -> str:
-        """`honest`, or how the physics, the rows or what the network hears depart from that."""
+        """Evaluation protocol: `honest`, or the worst deviation by physics, rows or inputs."""
         base = self.base_ if hasattr(self, "base_") else base_estimator(self.base)
-        # The least honest of what the network hears, the physics, and the rows.
+        # Report the worst deviation of the torque inputs, the physics and the rows.
         if self._network.inputs == "measured":
             return self._network.protocol
         if base.protocol != HONEST:
@@ -194,26 +211,27 @@ class ResidualNetwork(RobotEstimator):
         return SAMPLE_SPLIT_PROTOCOL if self.by_sample_ else self._network.protocol
 
     def extras(self) -> dict[str, str]:
-        """PyTorch, and what the physics needs."""
+        """Return the optional extra for PyTorch and the extras that the physics needs."""
         name, needs = self.base["estimator"], base_estimator(self.base).extras()
         physics = {extra: f"by its base {name} {why}" for extra, why in needs.items()}
         return {**physics, **LEARN}
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what a fit cannot do without: samples to train with, and what its physics needs.
+        """Return the requirements of a fit: enough samples, and the requirements of the physics.
 
         Raises:
-            FitError: The physics model does not support this robot.
+            FitError: The physics does not support this robot.
         """
         return TO_TRAIN.also(needs_of(base_estimator(self.base), robot, loaded=loaded))
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit the physics, once more without each fold, then networks to what they leave.
+        """Fit the physics to all data, then without each fold, and then networks to the residuals.
 
         Raises:
-            FitError: The data are too few, not finite, of another robot or unit, of different
-                sample rates, or the physics cannot be fitted to them; or the training diverges.
-            DataError: A series cannot be filtered, or nothing is left to stop by.
+            FitError: The data are too few, not finite, of a different robot or unit, or have
+                different sample rates; the physics cannot be fitted to the data; or the training
+                diverges.
+            DataError: A series cannot be filtered, or no validation rows are left.
             PluginError: The extra `learn` is missing.
         """
         self._require(dataset, robot)
@@ -228,19 +246,22 @@ class ResidualNetwork(RobotEstimator):
         *,
         refit: bool | None = None,
     ) -> Self:
-        """Correct a model that is fitted already, which `base` then describes.
+        """Fit networks to the residual of a fitted model, and set the parameter `base` to it.
 
         Args:
-            base: Fitted to these data or to others.
-            dataset: To learn from.
-            robot: The robot model.
-            refit: Fit models like it without each fold, as `fit` does; by default unless it is a
-                trained network, which would take long. Without, selection and bands take a model
-                that has learned from these data to be better than it is, and a note says so.
+            base: Fitted model; the data of that fit may be these data or other data.
+            dataset: Training data.
+            robot: Robot model.
+            refit: Whether models of the same kind as `base` are fitted without each fold, as in
+                `fit`. By default `refit` is true, unless `base` is a trained network, because its
+                training would take long. Without refits, selection and bands overestimate the
+                accuracy of a `base` that was fitted to these data; the fitted model then has a note
+                about the overestimate.
 
         Raises:
-            FitError: As `fit`, or `base` is not fitted, or to another robot or unit.
-            DataError, PluginError: As `fit`.
+            FitError: The data are unusable for `fit`; or `base` is not fitted, or belongs to a
+                different robot or unit.
+            DataError, PluginError: The same conditions as in `fit` apply.
         """
         self._require(dataset, robot)
         require_base(base, dataset, robot)
@@ -301,10 +322,12 @@ class ResidualNetwork(RobotEstimator):
         require_one_rate(dataset)
 
     def predict(self, dataset: Dataset) -> Prediction:
-        """The components of the physics, and `residual`; `std` from the bands.
+        """Return the prediction with the components of the physics and the component `residual`.
+
+        The error bands determine the standard deviation of the prediction.
 
         Raises:
-            DataError: The data are of another robot, unit or sample rate, or cannot be filtered.
+            DataError: The data have a different robot, unit or sample rate, or cannot be filtered.
         """
         self.require_match(dataset)
         base = self.base_.predict(dataset)
@@ -313,37 +336,41 @@ class ResidualNetwork(RobotEstimator):
         parts = {**base.components, RESIDUAL: added}
         std = self.bands_.deviation(data["qd_f"])
         effort = base.effort + added
-        # What is missing in one row is missing in the memory of those after it.
+        # A missing value also invalidates the later rows whose window contains it.
         return Prediction(effort, std, base.valid & np.isfinite(effort), parts)
 
     def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
-        """That of the physics, if it has one and no joint kept its network."""
+        """Return the friction curve of the physics.
+
+        Returns:
+            Friction curve; None if the physics has no friction curve or any joint uses its network.
+        """
         if np.any(self.correction_.kept) or not isinstance(self.base_, HasFrictionCurve):
             return None
         return self.base_.friction_curve(qd)
 
     def stream(self, payload: Payload | None = None) -> Stream:
-        """A predictor for one sample at a time; nothing is filtered.
+        """Return a predictor for one sample at a time, which does not filter its inputs.
 
         Raises:
-            FitError: The network hears torque, which a stream is not told.
+            FitError: The network has torque inputs, which a stream does not receive.
         """
         if self._network.inputs != "motion":
             raise FitError(
                 f"a residual network with inputs: {self._network.inputs} cannot be streamed: a "
-                "stream knows the motion only",
+                "stream has only the motion as input",
                 hint="fit with inputs: motion, or predict whole datasets",
             )
         return CorrectedStream(self.base_.stream(payload), self.correction_)
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """Those of the physics under `base.`, the networks', bands and deviations."""
+        """Return arrays of physics (prefix `base.`), networks, bands and standard deviations."""
         own = {"torque_scale": self.torque_scale_, "sigma": self.sigma_}
         networks = self.correction_.to_arrays() | self.bands_.to_arrays()
         return with_prefix(BASE_ARRAYS, self.base_.fitted_arrays()) | networks | own
 
     def fitted_facts(self) -> dict[str, Any]:
-        """The physics, the settings of the networks, and what decided."""
+        """Return the facts of the physics, the network settings, and the selection."""
         return super().fitted_facts() | {
             "base": {
                 "estimator": self.base_.estimator,
@@ -361,7 +388,7 @@ class ResidualNetwork(RobotEstimator):
         }
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fit from the results of `fitted_arrays` and `fitted_facts`."""
         self._restore_common(arrays, facts)
         self.base_ = restored_base(arrays, facts["base"], self.robot_)
         count = whole("networks", facts["networks"], at_least=1)
@@ -376,23 +403,23 @@ class ResidualNetwork(RobotEstimator):
         self._require_together()
 
     def _require_together(self) -> None:
-        """Raise ValueError if the physics and its correction are of different robots."""
+        """Raise ValueError if the physics and its correction belong to different robots."""
         n = self.robot_.n
         found = (self.base_.joint_names_, self.base_.effort_kind_)
         if found != (self.joint_names_, self.effort_kind_):
             raise ValueError(f"base: {found!s:.80}")
         if not len(self.correction_.kept) == len(self.bands_.edges) == n:
-            raise ValueError(f"kept: {len(self.correction_.kept)} joints where the robot has {n}")
+            raise ValueError(f"kept: {len(self.correction_.kept)} joints, but the robot has {n}")
         if not np.array_equal(self.selection_.kept, self.correction_.kept):
-            raise ValueError("selection: not the joints that kept their network")
+            raise ValueError("selection: its joints are not those that kept their network")
 
 
 class CorrectedStream:
-    """Steps the physics, then networks with ring buffers on what it says.
+    """Stream that evaluates the physics, and then the networks, which receive the physics' result.
 
     Args:
         base: Stream of the physics.
-        correction: Networks that hear no torque.
+        correction: Networks without torque inputs.
     """
 
     def __init__(self, base: Stream, correction: Correction) -> None:
@@ -401,10 +428,10 @@ class CorrectedStream:
         self._rings = [RingTcn(network) for network in wanted]
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Predicted effort (n,) for one sample, each input (n,).
+        """Return the predicted effort (n,) for one sample; each input has the shape (n,).
 
         Raises:
-            DataError: An input is not one number per joint.
+            DataError: An input does not have one number per joint.
         """
         effort = self._base.step(q, qd, qdd)
         if not self._rings:
@@ -414,30 +441,30 @@ class CorrectedStream:
 
 
 BASE_ARRAYS = "base."
-"""Arrays of the base model begin with it."""
+"""Prefix of the names of all arrays of the physics in a model file."""
 
 
 def base_estimator(base: dict[str, Any]) -> RobotEstimator:
-    """A fresh base estimator from its name and parameters.
+    """Return an unfitted estimator for the physics from its name and parameters.
 
     Raises:
-        PluginError: There is no estimator of that name.
-        SpecError: It is not named, has no such parameter, or does not accept the value.
+        PluginError: There is no estimator with the passed name.
+        SpecError: The name is missing, a parameter is unknown, or its value is invalid.
     """
     if not isinstance(base.get("estimator"), str):
         raise SpecError(
-            f"base is {base!r:.60}, but must name the physics with `estimator`",
-            hint="base: {estimator: rigid-hysteresis}",
+            f"base is {base!r:.60}, but must contain the name of the physical model (`estimator`)",
+            hint="for example base: {estimator: rigid-hysteresis}",
         )
     params = {name: value for name, value in base.items() if name != "estimator"}
     return estimator(base["estimator"], **params)
 
 
 def require_base(model: RobotEstimator, dataset: Dataset, robot: RobotModel) -> None:
-    """Refuse a fitted model that cannot be the physics of these data.
+    """Raise if a fitted model cannot be the physics for the data of this fit.
 
     Raises:
-        FitError: It is not fitted, or is of another robot, unit or gravity.
+        FitError: The model is not fitted, or belongs to a different robot, unit or gravity.
     """
     try:
         model.require_match(dataset)
@@ -445,8 +472,9 @@ def require_base(model: RobotEstimator, dataset: Dataset, robot: RobotModel) -> 
         raise FitError(f"base: {error.message}", hint=error.hint) from error
     if model.robot_.name != robot.name:
         raise FitError(
-            f"base was fitted for the robot model {model.robot_.name}, not for {robot.name}",
-            hint="correct a model of the same robot",
+            f"base was fitted for the robot model {model.robot_.name}, but this robot is "
+            f"{robot.name}",
+            hint="use a base model of the same robot",
         )
 
 
@@ -456,7 +484,7 @@ def restored_base(
     """Return the physics from the arrays of a model file and the entry `base` of its facts.
 
     Raises:
-        KeyError, TypeError, ValueError: Something is missing or garbled.
+        KeyError, TypeError, ValueError: An entry of the model file is missing or invalid.
     """
     model = estimator(str(facts["estimator"]), **facts["parameters"])
     model.robot_ = robot
@@ -468,13 +496,13 @@ def restored_base(
 
 
 CUTOFF_HZ = 50.0
-"""Of inputs and of what is learned, as in the PINN paper: reversals are quick."""
+"""Cut-off frequency of inputs and target [Hz], as in the PINN paper; high enough for reversals."""
 
 MOST_OF_NYQUIST = 0.4
 
 
 def filters_for(dataset: Dataset) -> FilterSettings:
-    """50 Hz over everything, less where samples are few."""
+    """Return filter settings of 50 Hz for all signals, or less if the sample rate is low."""
     slowest = min(rate for rate, _ in motion_rates(dataset))
     highest = min(CUTOFF_HZ, 0.5 * MOST_OF_NYQUIST * slowest)
     cutoff = round(highest, 2) or highest
@@ -484,38 +512,38 @@ def filters_for(dataset: Dataset) -> FilterSettings:
 def notes_of(
     data: Dataset, physics: Physics, learnt: Learnt, judged: Judged, network: ResidualSettings
 ) -> tuple[str, ...]:
-    """Return notes for the model: of the physics, the selection, and the trivial observer."""
+    """Return notes on the physics, the selection, and the comparison with a trivial predictor."""
     by_sample, unit = has_sample_split(data), data.effort_unit
     left_out = "left-out samples" if by_sample else "left-out trajectories"
     notes = [*physics.model.notes_, *judged.selection.notes(data.joint_names, unit, left_out)]
     if np.all(physics.fold == NO_FOLD):
         notes.append(
-            f"{physics.model.estimator} may have learned from the trajectories by which its "
-            "residual network was selected: bands are narrower than they should be"
+            f"{physics.model.estimator} was possibly fitted to the trajectories that selected "
+            "its residual network: the error bands are too narrow"
         )
     if by_sample:
         notes.append(
-            "rows that are judged lie between rows learned from, and the filter without phase "
-            "shift brought their torque into these: errors tell how gaps in known motions are "
-            "filled, nothing of new ones"
+            "evaluated rows lie between training rows, and the zero-phase filter mixed their "
+            "torque into these: errors are those of interpolation within known motions, not of "
+            "new motions"
         )
     if network.inputs == "motion":
         return tuple(notes)
-    # A network that hears torque must beat the torque of a moment ago, taken as it is. Both errors
-    # are of the same rows, and on the torque that is heard: as recorded, or filtered.
+    # A network with torque inputs must be better than holding its newest torque input. Both errors
+    # refer to the same rows and to the same torque signal: as recorded, or filtered.
     rate = learnt.networks[0].rate_hz
     lag = max(1, network.lag(rate))
     name, how = "effort", "as recorded"
     if network.inputs == "measured":
         name, how = "effort_f", "filtered"
-    # Half a sample less: stamps that jitter must not make it hold an older one.
+    # Half a sample less, so that jitter of the time stamps does not select an older sample.
     held = persistence(data, (lag - 0.5) / rate, name)
     rows = learnt.judged & np.all(np.isfinite(held), axis=1)
     ours = physics.predicted + judged.correction.bounded(learnt.correction)
     trivial, model = (float(np.mean(rmse(data[name][rows], of[rows]))) for of in (held, ours))
     notes.append(
-        f"holding the torque measured {1e3 * lag / rate:.4g} ms before has an error of "
-        f"{trivial:.3g} {unit} on {left_out} (mean over joints, torque {how}), "
-        f"this model {model:.3g}"
+        f"holding the torque that was measured {1e3 * lag / rate:.4g} ms earlier has an error of "
+        f"{trivial:.3g} {unit} on {left_out} (mean over joints, torque {how}), this model "
+        f"{model:.3g}"
     )
     return tuple(notes)

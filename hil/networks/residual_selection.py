@@ -1,16 +1,17 @@
-"""Does a network for what physics leaves help? Whole trajectories it was not fitted to say so.
+"""Selection of the joints whose residual network is used, by held-out trajectories.
 
-A model has an easier life on its training data than anywhere else. A network that learns from
-those residuals, or bands that are calibrated on them, would take the model to be better than it
-is. So the trajectories are dealt into folds, and each fold is predicted by a model of the others
-(`Physics`). Networks learn from what is left (`Learnt`, made by `residual_training.learn`), and
-`Judged` says which joints keep theirs: a network that does not lower the error of a joint on
-left-out trajectories is dropped for that joint (`select`): what physics leaves of it is noise, or
-nothing that other motions share. Corrections are judged as predictions give them, within their
-limits (`Correction`).
+The error of a model is lower on its training data than on other data. Networks that are trained on
+residuals of training data, or bands that are calibrated on such residuals, would overestimate the
+accuracy of the model. Therefore the trajectories are distributed over folds, and each fold is
+predicted by a model fitted to the other folds (`Physics`). Networks learn the residuals of the fold
+predictions (`Learnt`, created by `residual_training.learn`), and `Judged` determines which joints
+use their network. `select` rejects a network that does not lower the error of its joint on held-out
+trajectories. A network cannot lower the error if the residual of the physics is noise, or does not
+generalise to other motions. The evaluation uses the corrections after clipping them to their
+limits, as in predictions (`Correction`).
 
-Nothing was fitted to the rows that judge, but they chose the epoch at which a network stopped: what
-they say of it is a little too good.
+No model was fitted to the held-out rows, but the held-out rows selected the epoch whose weights are
+used. The errors on held-out rows are therefore slightly optimistic.
 """
 
 from __future__ import annotations
@@ -34,14 +35,14 @@ NO_FOLD = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Physics:
-    """A fitted base model, and what models like it say of rows they have not seen.
+    """Fitted physics, and a prediction of every row by a model that was not fitted to the row.
 
     Attributes:
-        model: Fitted to everything that may be learned from.
-        predicted: (N, n) effort of every row by a model of the other folds; by `model` itself in
-            rows without a fold.
-        valid: (N,) rows for which they stand by their prediction in every joint.
-        fold: (N,) number of the fold; −1 where the rows belong to none.
+        model: Model fitted to all training data.
+        predicted: (N, n) effort of every row, predicted by a model that was fitted to the other
+            folds; rows without a fold are predicted by `model`.
+        valid: (N,) whether the prediction of the row is valid in every joint.
+        fold: (N,) number of the fold of each row; −1 for rows without a fold.
     """
 
     model: RobotEstimator
@@ -57,14 +58,14 @@ def physics_of(
     seed: int,
     fit: Callable[[Dataset, int], RobotEstimator],
 ) -> Physics:
-    """Predict every row by a model like the fitted one that has not seen its trajectory.
+    """Predict every row by a model that was not fitted to the trajectory of the row.
 
     Args:
-        dataset: All rows; those that are judged are predicted, never learned from.
-        model: Fitted to everything that may be learned from.
-        folds: How many; with 1 the model itself predicts every row.
-        seed: Of the deal.
-        fit: A fresh model of its kind, fitted to a dataset without the fold of this number.
+        dataset: Dataset with all rows; test rows are predicted, but never used for fitting.
+        model: Model fitted to all training data.
+        folds: Number of folds; with 1 fold, `model` predicts every row.
+        seed: Seed for the assignment of trajectories to folds.
+        fit: Function from a dataset and the number of the omitted fold to a newly fitted model.
     """
     fold = fold_of_rows(dataset, folds, seed)
     prediction = model.predict(dataset)
@@ -81,10 +82,11 @@ def physics_of(
 
 
 def fold_of_rows(dataset: Dataset, folds: int, seed: int) -> IntArray:
-    """(N,) fold of every row: whole trajectories, all their loads together.
+    """Return the fold (N,) of every row; a trajectory with all its loads is in one fold.
 
-    Without at least two trajectories there are no folds. Nor are there any where a study tears
-    trajectories row by row: a row's neighbours are then learned from in any case.
+    With fewer than two trajectories, no row has a fold. If a study divides trajectories row by row,
+    no row has a fold either, because a fold would not separate neighbouring rows from the training
+    rows.
     """
     fold = np.full(len(dataset), NO_FOLD)
     if has_sample_split(dataset):
@@ -107,14 +109,14 @@ def fold_of_rows(dataset: Dataset, folds: int, seed: int) -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learnt:
-    """Trained networks, and what each said of rows it had not learned from.
+    """Trained networks, and their outputs for rows on which they were not trained.
 
     Attributes:
-        networks: One per fold, or one.
-        correction: (N, n) what they add to rows they were stopped by, in effort units.
-        judged: (N,) these rows.
-        used: (N,) rows that any of them learned from or was stopped by.
-        curves: How each training went.
+        networks: List with one network per fold, or with a single network if there are no folds.
+        correction: (N, n) network outputs for the validation rows, in effort units.
+        judged: (N,) mask of the validation rows.
+        used: (N,) mask of all rows used for training or validation of any network.
+        curves: Learning curves of each network.
     """
 
     networks: tuple[TrainedTcn, ...]
@@ -126,15 +128,16 @@ class Learnt:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """The verdict of left-out rows.
+    """Result of the evaluation of the networks on held-out rows.
 
     Attributes:
-        selection: Which joints keep their network.
-        correction: What predictions are corrected by: where it is kept, and how large at most.
-        bands: From errors on measured effort, as recorded.
-        coverage: What bands made without them hold of left-out trajectories; empty where there
-            is one only.
-        sigma: (n,) root-mean-square error on measured effort.
+        selection: Joints that use their network, and the errors that decided so.
+        correction: Correction of predictions, restricted to the joints that use their network and
+            limited in size.
+        bands: Error bands, calibrated on the errors relative to the measured effort, as recorded.
+        coverage: Share of held-out samples within bands that were calibrated without the trajectory
+            of the sample; empty if there is only one trajectory.
+        sigma: (n,) root mean square error of each joint relative to the measured effort.
     """
 
     selection: Selection
@@ -147,14 +150,15 @@ class Judged:
     def of(
         data: Dataset, physics: Physics, learnt: Learnt, margin: float, coverage: float
     ) -> Judged:
-        """Judge on the rows that networks were stopped by.
+        """Evaluate the networks on their validation rows.
 
         Args:
-            data: Prepared.
-            physics: Predictions of models that had not seen the rows, where there are folds.
-            learnt: Networks and their corrections.
-            margin: See `select`.
-            coverage: Of the bands.
+            data: Prepared dataset.
+            physics: Predictions of the rows by the physics. If there are folds, the predictions
+                come from models that were not fitted to the predicted rows.
+            learnt: Trained networks and their corrections.
+            margin: Required relative decrease of the error, as in `select`.
+            coverage: Share of samples that the bands should contain.
         """
         rows = learnt.judged
         left = (data["effort_f"] - physics.predicted)[rows]
@@ -166,7 +170,7 @@ class Judged:
         correction = replace(everywhere, kept=selection.kept)
         predicted = physics.predicted[rows] + correction.bounded(said)
         errors, speeds = data["effort"][rows] - predicted, data["qd_f"][rows]
-        # What is left out together to try bands: folds, or trajectories where there are none.
+        # Bands are validated by omitting whole folds, or single trajectories if there are no folds.
         fold = physics.fold[rows]
         parts = fold if len(np.unique(fold)) > 1 else blocks
         return Judged(
@@ -181,7 +185,7 @@ class Judged:
 def _coverage(
     errors: FloatArray, speeds: FloatArray, blocks: IntArray, parts: IntArray, coverage: float
 ) -> dict[str, Any]:
-    """Bands of the other parts, tried on each; shares are means over the parts."""
+    """Return the mean coverage of each part by bands that were calibrated on the other parts."""
     found = []
     for part in np.unique(parts):
         out: BoolArray = parts == part
@@ -199,14 +203,14 @@ def _coverage(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection:
-    """Which joints keep their network, and the errors that decided it.
+    """Joints that use their network, and the errors on which the selection is based.
 
     Attributes:
-        kept: (n,) true where predictions are corrected.
-        without, corrected: (n,) RMSE on left-out rows without and with the network, in effort
+        kept: (n,) whether the prediction of the joint is corrected by its network.
+        without, corrected: (n,) RMSE on held-out rows without and with the network, in effort
             units.
-        better: (n,) share of the left-out trajectories on which it helps.
-        margin: Share by which it had to lower the error.
+        better: (n,) share of the held-out trajectories on which the network lowers the error.
+        margin: Required relative decrease of the error.
     """
 
     kept: BoolArray
@@ -216,7 +220,7 @@ class Selection:
     margin: float
 
     def facts(self, joint_names: Sequence[str]) -> list[dict[str, Any]]:
-        """One entry per joint, for `model.json`."""
+        """Return one entry per joint for `model.json`."""
         return [
             {
                 "joint": name,
@@ -230,10 +234,10 @@ class Selection:
 
     @staticmethod
     def from_facts(facts: Sequence[Mapping[str, Any]], margin: float) -> Selection:
-        """Inverse of `facts`.
+        """Return the selection from the result of `facts`.
 
         Raises:
-            KeyError, TypeError, ValueError: Something is missing or no number.
+            KeyError, TypeError, ValueError: An entry of the facts is missing or not a number.
         """
         without, corrected, better = (
             np.array([float(one[key]) for one in facts]) for key in ("without", "with", "better_on")
@@ -244,15 +248,15 @@ class Selection:
     def notes(
         self, joint_names: Sequence[str], unit: str, rows: str = "left-out trajectories"
     ) -> tuple[str, ...]:
-        """What people should know: where the network was dropped, and what it is worth.
+        """Return notes that list the joints with and without a network, and the error per joint.
 
         Args:
-            joint_names: n of them.
-            unit: Of the errors.
-            rows: What they are of.
+            joint_names: n joint names.
+            unit: Unit of the errors.
+            rows: Description of the rows on which the errors were computed.
         """
         notes = []
-        asked = f"; at least {100 * self.margin:g} % was asked, on nearly all of them"
+        asked = f"; required: at least {100 * self.margin:g} % less error on nearly all of them"
         for word, chosen, why in (("kept", self.kept, ""), ("dropped", ~self.kept, asked)):
             if np.any(chosen):
                 joints = ", ".join(self._joint(int(j), joint_names) for j in np.flatnonzero(chosen))
@@ -266,7 +270,7 @@ class Selection:
 KEPT, LIMIT = "kept", "limit"
 
 SURE = 0.9
-"""Share of such choices in which the mean over all trajectories does gain."""
+"""Confidence of the one-sided interval on which the selection is based."""
 
 TINY = 1e-300
 
@@ -274,18 +278,21 @@ TINY = 1e-300
 def select(
     without: FloatArray, corrected: FloatArray, blocks: IntArray, margin: float
 ) -> Selection:
-    """Keep a joint's network if it lowers the error on rows it has not learned from.
+    """Select the joints whose network lowers the error on held-out rows.
 
-    It has to lower it by `margin` over all of them, and so evenly that other trajectories can be
-    expected to gain: the upper end of the one-sided 90 % interval of the mean logarithm of the
-    ratio per trajectory (Student's t) is below 0. One trajectory says nothing of others, so it
-    keeps none. With a margin of 0 nobody asks how sure it is.
+    The network must lower the error over all rows by the share `margin`. In addition, the upper end
+    of the one-sided 90 % confidence interval of the mean logarithm of the error ratio per
+    trajectory (Student's t) must be below 0. An improvement can then be expected on other
+    trajectories. A single trajectory gives no confidence interval, so no network is selected. With
+    a margin of 0 the confidence interval is not checked.
 
     Args:
-        without: (N, n) errors of physics alone, by models that had not seen these rows.
-        corrected: (N, n) with the network, likewise.
+        without: (N, n) prediction errors of the physics alone, by models that were not fitted to
+            these rows.
+        corrected: (N, n) prediction errors with the network, by networks that were not trained on
+            these rows.
         blocks: (N,) number of the trajectory of every row.
-        margin: Share of the error, from 0.
+        margin: Required relative decrease of the error, at least 0.
     """
     before, after = _root_mean_square(without), _root_mean_square(corrected)
     gains = np.array(
@@ -307,7 +314,7 @@ def _log_ratio(corrected: FloatArray, without: FloatArray) -> FloatArray:
 
 
 def _highest_mean(gains: FloatArray) -> FloatArray:
-    """(n,) upper end of the interval of the mean of (B, n); infinite for a single one."""
+    """Return the upper end (n,) of the confidence interval of the mean; infinite for B = 1."""
     count = len(gains)
     if count < 2:
         return np.full(gains.shape[1], np.inf)
@@ -316,21 +323,22 @@ def _highest_mean(gains: FloatArray) -> FloatArray:
 
 
 NETWORK = "network{}."
-"""Arrays of the network with that number, from 1, begin with it."""
+"""Prefix of the array names of a network, to which the network's number, from 1, is added."""
 
 NUMBERED = re.compile(r"network(\d+)\.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """The mean of the networks.
+    """Correction of predictions by the mean output of several networks.
 
     Attributes:
-        settings: Of every network.
-        networks: At least one, even where no joint keeps it.
-        kept: (n,) joints that are corrected.
-        limit: (n,) largest correction, in effort units: the largest residual there was to learn.
-            Loads and motions that no training has seen can make a network say anything.
+        settings: Settings of every network.
+        networks: List of at least one network, even if no joint uses a network.
+        kept: (n,) whether the prediction of the joint is corrected.
+        limit: (n,) largest correction in effort units: the largest residual in the held-out rows.
+            The limit is necessary because the output of a network is unpredictable for loads and
+            motions that were not in the training data.
     """
 
     settings: ResidualSettings
@@ -339,10 +347,10 @@ class Correction:
     limit: FloatArray
 
     def predict(self, data: Dataset, base: FloatArray) -> FloatArray:
-        """(N, n) for prepared data, 0 at rest.
+        """Return the correction (N, n) for prepared data; the correction is 0 at standstill.
 
         Raises:
-            DataError: The torque to be heard is missing, or samples come at another rate.
+            DataError: A required torque input is missing, or the data have a different sample rate.
         """
         moving = in_motion(data)
         if not np.any(moving) or not np.any(self.kept):
@@ -352,11 +360,11 @@ class Correction:
         return np.where(moving[:, None], self.bounded(mean), 0.0)
 
     def bounded(self, mean: FloatArray) -> FloatArray:
-        """(…, n) the networks' mean within its limits, 0 for joints without network."""
+        """Return the networks' mean (…, n) clipped to the limits; 0 for joints without network."""
         return np.where(self.kept, np.clip(mean, -self.limit, self.limit), 0.0)
 
     def to_arrays(self) -> dict[str, FloatArray]:
-        """For a model file; the settings go beside them."""
+        """Return the arrays for a model file; the settings are stored separately."""
         arrays = {KEPT: self.kept.astype(np.float64), LIMIT: self.limit}
         for number, network in enumerate(self.networks, start=1):
             arrays |= with_prefix(NETWORK.format(number), network.to_arrays())
@@ -366,14 +374,14 @@ class Correction:
     def from_arrays(
         arrays: Mapping[str, FloatArray], settings: dict[str, Any], networks: int
     ) -> Correction:
-        """Inverse of `to_arrays`.
+        """Return the correction from the result of `to_arrays`.
 
         Raises:
-            KeyError, ValueError, DataError: Something is missing or garbled.
+            KeyError, ValueError, DataError: An array is missing or invalid.
         """
         stored = {int(named[1]) for name in arrays if (named := NUMBERED.match(name))}
         if not stored or networks != len(stored) or networks != max(stored) or min(stored) < 1:
-            raise ValueError(f"networks: {networks} where those stored are {sorted(stored)}")
+            raise ValueError(f"networks: {networks}, but the stored ones are {sorted(stored)}")
         found = [
             _network(without_prefix(NETWORK.format(k + 1), arrays), settings)
             for k in range(networks)
@@ -388,6 +396,6 @@ class Correction:
 
 
 def _network(arrays: dict[str, FloatArray], settings: dict[str, Any]) -> TrainedTcn:
-    # Without slow and fast parts there is no frequency between them.
+    # f_cut_hz need not be finite, because a network without a split does not use it.
     require_finite_arrays({name: a for name, a in arrays.items() if name != "f_cut_hz"})
     return TrainedTcn.from_arrays(arrays, settings)

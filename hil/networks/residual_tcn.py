@@ -1,9 +1,10 @@
-"""The residual network in plain numpy: a dilated causal convolutional one (PINN paper, eq. 26–27).
+"""Prediction with the residual network in numpy: a dilated causal convolutional network.
 
-Models predict with this alone; PyTorch is needed for training. `TcnWeights` is a pass over one
-series, `TrainedTcn` adds scaled inputs and outputs, `RingTcn` gives the same one sample at a time.
-Before a series begins its first sample is taken to have lasted for ever, so that an arm which
-starts from rest is at rest.
+The network is defined by eq. 26–27 of the PINN paper. Models predict with the module `residual_tcn`
+alone; PyTorch is only needed for training. `TcnWeights` evaluates a series, `TrainedTcn` adds
+scaled inputs and outputs, and `RingTcn` computes the result of `TrainedTcn` one sample at a time.
+The values before a series are assumed to equal its first sample; an arm that starts at standstill
+is thus treated as static before the start.
 """
 
 from __future__ import annotations
@@ -28,19 +29,19 @@ from hil.networks.residual_data import (
 )
 
 SCALES, WEIGHTS = "scales.", "weights."
-"""What the names of arrays begin with."""
+"""Prefixes of the array names of the network."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainedTcn:
-    """Predicts what a physical model leaves, in that model's unit of effort.
+    """Network that predicts the residual of a physical model, in the effort unit of that model.
 
     Attributes:
-        inputs: What it sees, and how that is scaled.
-        weights: Of all groups and branches.
-        scale: (branches, n) size of the slow and the fast part in the rows it learned from.
-        rate_hz: Samples per second it was trained at; its memory counts samples.
-        f_cut_hz: Where slow and fast were parted; 0 if they were not.
+        inputs: Network inputs with their scales.
+        weights: Weights of all groups and branches.
+        scale: (branches, n) root mean square of each part (slow and fast) in the training rows.
+        rate_hz: Sample rate of the training data [Hz]; the memory of the network counts samples.
+        f_cut_hz: Cut-off frequency between slow and fast part [Hz]; 0 without a split.
     """
 
     inputs: NetworkInputs
@@ -51,7 +52,7 @@ class TrainedTcn:
 
     @property
     def settings(self) -> ResidualSettings:
-        """Those it was trained with."""
+        """Settings with which the network was trained."""
         return self.inputs.settings
 
     @property
@@ -60,24 +61,26 @@ class TrainedTcn:
         return int(self.scale.shape[1])
 
     def predict(self, motions: Motions) -> FloatArray:
-        """(N, n) residual of every row; memory is reset where a series begins.
+        """Return the residual (N, n) of every row; the memory is reset at the start of a series.
 
         Raises:
-            DataError: The torque it hears is not there, or samples are spaced otherwise.
+            DataError: A required torque input is missing, or the sample rate differs from
+                `rate_hz`.
         """
         return np.asarray(self.parts(motions).sum(axis=0))
 
     def parts(self, motions: Motions) -> FloatArray:
-        """(branches, N, n): the slow and the fast part, or one for both.
+        """Return the parts of the residual (branches, N, n): slow and fast part, or only their sum.
 
         Raises:
-            DataError: As `predict`.
+            DataError: A required torque input is missing, or the sample rate differs from
+                `rate_hz`.
         """
         if abs(motions.rate_hz / self.rate_hz - 1.0) > RATE_TOLERANCE:
             raise DataError(
-                f"the residual network was trained at {self.rate_hz:.4g} Hz, "
-                f"the samples come at {motions.rate_hz:.4g} Hz",
-                hint="its memory counts samples: record at the same rate, or fit again",
+                f"the residual network was trained at {self.rate_hz:.4g} Hz, but the sample rate "
+                f"is {motions.rate_hz:.4g} Hz",
+                hint="record at the rate of the training, or fit again",
             )
         inputs = self.inputs.of(motions)
         out = np.zeros((len(self.scale), len(motions), self.n))
@@ -87,12 +90,12 @@ class TrainedTcn:
         return out
 
     def _scaled(self, outputs: FloatArray) -> FloatArray:
-        """(branches, N, n) from (N, G, O)."""
+        """Return the scaled outputs (branches, N, n) from the raw outputs (N, G, O)."""
         parts = outputs.reshape(len(outputs), *self.scale.shape) * self.scale
         return np.asarray(parts.transpose(1, 0, 2))
 
     def to_arrays(self) -> dict[str, FloatArray]:
-        """For a model file; `settings.to_json()` goes beside them."""
+        """Return the arrays for a model file, in which `settings.to_json()` is a separate entry."""
         scales = with_prefix(SCALES, self.inputs.scales.to_arrays())
         weights = with_prefix(WEIGHTS, self.weights.to_arrays())
         rates = {"rate_hz": np.array([self.rate_hz]), "f_cut_hz": np.array([self.f_cut_hz])}
@@ -100,16 +103,16 @@ class TrainedTcn:
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, FloatArray], settings: dict[str, Any]) -> TrainedTcn:
-        """Inverse of `to_arrays`.
+        """Return the network from the result of `to_arrays`.
 
         Raises:
-            DataError: Arrays are missing or do not fit each other.
-            SpecError: The settings are not valid.
+            DataError: Arrays are missing or do not match each other.
+            SpecError: The settings are invalid.
         """
         chosen = ResidualSettings.given(settings)
         missing = [name for name in ("scale", "rate_hz", "f_cut_hz") if name not in arrays]
         if missing:
-            raise DataError(f"the residual network lacks {', '.join(missing)}")
+            raise DataError(f"the residual network has no {', '.join(missing)}")
         scale = np.asarray(arrays["scale"], dtype=np.float64)
         if scale.ndim != 2 or len(scale) != chosen.branches:
             raise DataError(f"the residual network's scale has the shape {scale.shape}")
@@ -125,20 +128,20 @@ class TrainedTcn:
 Single = NDArray[np.float32]
 
 CHUNK = 16_384
-"""Rows that pass through at once; bounds memory on long recordings."""
+"""Number of rows that are evaluated at once, which limits memory for long recordings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TcnWeights:
-    """G networks side by side, each with F inputs, C channels, K taps and O outputs.
+    """Weights of G parallel networks, each with F inputs, C channels, K taps and O outputs.
 
     Attributes:
-        enter, enter_bias: (G, C, F) and (G, C): the inputs as channels.
-        taps: Per layer (G, C, C, K), the oldest tap first.
-        biases: Per layer (G, C).
-        leave, leave_bias: (G, O, C) and (G, O).
-        dilations: Per layer, samples between taps.
-        activation: Of every layer.
+        enter, enter_bias: (G, C, F) and (G, C) weights and biases from inputs to channels.
+        taps: (G, C, C, K) weights of each layer, with the oldest tap first.
+        biases: (G, C) per layer.
+        leave, leave_bias: (G, O, C) and (G, O) weights and biases from channels to outputs.
+        dilations: Number of samples between the taps of each layer.
+        activation: Activation function of every layer.
     """
 
     enter: Single
@@ -151,7 +154,7 @@ class TcnWeights:
     activation: Activation
 
     def forward(self, x: Single) -> Single:
-        """(G, O, L) from inputs (G, F, L + window - 1): an output where the window is full."""
+        """Return outputs (G, O, L) from inputs (G, F, L + window - 1), one output per window."""
         h = self.enter @ x + self.enter_bias[..., None]
         for taps, bias, dilation in zip(self.taps, self.biases, self.dilations, strict=True):
             h = self._layer(h, taps, bias, dilation)
@@ -168,12 +171,12 @@ class TcnWeights:
 
     @property
     def window(self) -> int:
-        """Samples an output depends on."""
+        """Number of samples on which an output depends."""
         kernel = int(self.taps[0].shape[-1])
         return 1 + (kernel - 1) * sum(self.dilations)
 
     def series(self, inputs: FloatArray) -> FloatArray:
-        """(N, G, O) of one series of inputs (N, G, F), N ≥ 1."""
+        """Return the outputs (N, G, O) for the inputs (N, G, F) of one series, N ≥ 1."""
         before = np.repeat(inputs[:1], self.window - 1, axis=0)
         x = np.concatenate([before, inputs]).astype(np.float32).transpose(1, 2, 0)
         out = np.empty((len(inputs), *self.leave_bias.shape))
@@ -184,27 +187,27 @@ class TcnWeights:
         return out
 
     def require(self, scale: tuple[int, ...], inputs: tuple[int, ...]) -> None:
-        """Refuse weights of another number of joints, branches or inputs.
+        """Raise if the weights are for a different number of joints, branches or inputs.
 
         Args:
-            scale: (branches, n) of what comes out.
-            inputs: (G, F) of what goes into each branch.
+            scale: (branches, n) shape of the outputs.
+            inputs: (G, F) shape of the inputs of each branch.
 
         Raises:
-            DataError: They do not fit.
+            DataError: The numbers of joints, branches or inputs do not match.
         """
         branches, n = scale
         groups, features = inputs
         wanted = (branches * groups, self.enter.shape[1], features)
         if self.enter.shape != wanted or self.leave_bias.size != branches * n:
             raise DataError(
-                f"the residual network's weights are for {self.enter.shape[0]} groups of "
-                f"{self.enter.shape[2]} inputs and {self.leave_bias.size} outputs, "
-                f"not for {wanted[0]} of {features} and {branches * n}"
+                f"the residual network's weights are those of {self.enter.shape[0]} groups of "
+                f"{self.enter.shape[2]} inputs and {self.leave_bias.size} outputs, not for "
+                f"{wanted[0]} of {features} and {branches * n}"
             )
 
     def to_arrays(self) -> dict[str, FloatArray]:
-        """For a model file."""
+        """Return the weights by name for a model file."""
         named = {
             "enter": self.enter,
             "enter_bias": self.enter_bias,
@@ -217,17 +220,17 @@ class TcnWeights:
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, Any], settings: ResidualSettings) -> TcnWeights:
-        """Inverse of `to_arrays`.
+        """Return the weights from the result of `to_arrays`.
 
         Raises:
-            DataError: An array is missing, or has not the shape the settings ask for.
+            DataError: An array is missing, or has a shape that does not match the settings.
         """
         layers = range(len(settings.dilations))
         names = ["enter", "enter_bias", "leave", "leave_bias"]
         names += [f"{kind}_{i}" for i in layers for kind in ("taps", "bias")]
         missing = [name for name in names if name not in arrays]
         if missing:
-            raise DataError(f"the residual network lacks {', '.join(missing)}")
+            raise DataError(f"the residual network has no {', '.join(missing)}")
         found = {name: np.asarray(arrays[name], dtype=np.float32) for name in names}
         _require_shapes(found, settings)
         return TcnWeights(
@@ -243,7 +246,7 @@ class TcnWeights:
 
 
 def activated(values: Single, kind: Activation) -> Single:
-    """The hyperbolic tangent or the positive part."""
+    """Apply the activation function: the hyperbolic tangent or max(x, 0)."""
     out: Single = np.tanh(values) if kind == "tanh" else np.maximum(values, 0.0)
     return out
 
@@ -268,12 +271,12 @@ def _require_shapes(found: Mapping[str, Single], settings: ResidualSettings) -> 
 
 
 class RingTcn:
-    """Streams a `TrainedTcn`; equal to its pass over a whole series.
+    """Stream of a `TrainedTcn`, whose results equal those of `TrainedTcn` for a whole series.
+
+    The values before a stream are assumed to equal its first sample.
 
     Args:
-        trained: The network.
-
-    A stream begins with its first sample, as if that had lasted for ever before.
+        trained: Trained network.
     """
 
     def __init__(self, trained: TrainedTcn) -> None:
@@ -289,18 +292,18 @@ class RingTcn:
         base: FloatArray,
         effort: FloatArray | None = None,
     ) -> FloatArray:
-        """(n,) residual at this sample.
+        """Return the residual (n,) at the current sample.
 
         Args:
-            q: (n,) [rad].
-            qd: (n,) [rad/s].
-            qdd: (n,) [rad/s²].
-            base: (n,) effort the physical model predicts.
-            effort: (n,) measured at this sample, for networks that hear torque. A network with a
-                history does not look at it before the latency has passed.
+            q: (n,) position [rad].
+            qd: (n,) velocity [rad/s].
+            qdd: (n,) acceleration [rad/s²].
+            base: (n,) effort predicted by the physical model.
+            effort: (n,) effort measured at the current sample, for networks with torque inputs. A
+                network with a torque history uses the passed effort only after the latency.
 
         Raises:
-            DataError: The network hears torque, and none was given.
+            DataError: The network has torque inputs, but no effort was passed.
         """
         heard = self._heard(base, effort)
         one = (None if a is None else a[None] for a in (q, qd, qdd, base, heard))
@@ -319,7 +322,7 @@ class RingTcn:
             raise DataError(
                 f"the residual network has inputs: {settings.inputs}, so each step needs the "
                 "measured effort",
-                hint="a model for feed-forward is fitted with inputs: motion",
+                hint="fit a model for feed-forward control with inputs: motion",
             )
         if settings.inputs == "measured":
             return effort
@@ -329,7 +332,7 @@ class RingTcn:
         return self._arriving.popleft()
 
     def _advance(self, x: Single) -> Single:
-        """(G, O) from inputs (G, F)."""
+        """Return the outputs (G, O) for the inputs (G, F) of the next sample."""
         weights = self._trained.weights
         h = (weights.enter @ x[..., None])[..., 0] + weights.enter_bias
         if self._layers is None:
@@ -341,12 +344,12 @@ class RingTcn:
 
 
 class _Layer:
-    """One layer and what came into it, as far back as its oldest tap."""
+    """Layer with a ring buffer of its inputs, which is as long as the memory of the layer."""
 
     def __init__(self, weights: TcnWeights, number: int, before: Single) -> None:
         taps = weights.taps[number]
         groups, width, _, kernel = taps.shape
-        # (G, C, K·C): all taps of a channel as one row, so that a step is one product.
+        # (G, C, K·C): all taps of a channel form one row, so that a step is one matrix product.
         self._taps = np.ascontiguousarray(taps.transpose(0, 1, 3, 2).reshape(groups, width, -1))
         self._bias = weights.biases[number]
         self._activation = weights.activation
@@ -356,7 +359,7 @@ class _Layer:
         self._oldest = 0
 
     def step(self, h: Single) -> Single:
-        """(G, C) out of (G, C)."""
+        """Return the outputs (G, C) for the inputs (G, C) of the next sample."""
         reach = len(self._ring)
         self._ring[self._oldest] = h
         self._oldest = (self._oldest + 1) % reach
@@ -367,21 +370,21 @@ class _Layer:
 
 
 def _standing(weights: TcnWeights, h: Single) -> list[_Layer]:
-    """Layers as after an endless time with the same input to the first of them (G, C)."""
+    """Return layers in the state that infinitely many equal inputs (G, C) cause."""
     layers = []
     for number in range(len(weights.taps)):
         layer = _Layer(weights, number, h)
         layers.append(layer)
-        h = layer.step(h)  # every tap holds h, and still does so afterwards
+        h = layer.step(h)  # all taps contain h, before and after the step
     return layers
 
 
 def require_finite_arrays(arrays: dict[str, FloatArray]) -> None:
-    """Refuse numbers that are none before a prediction is made of them.
+    """Raise if an array contains values that are not finite, before it is used for predictions.
 
     Raises:
-        ValueError: An array holds one.
+        ValueError: An array contains a value that is not finite.
     """
     for name, values in arrays.items():
         if not np.all(np.isfinite(values)):
-            raise ValueError(f"{name}: it holds values that are not finite")
+            raise ValueError(f"{name}: contains values that are not finite")

@@ -1,14 +1,16 @@
-"""Training networks on what physics leaves; every trajectory is judged by one unaware of it.
+"""Training of residual networks; each trajectory is evaluated by a network not trained on it.
 
-With folds there is a network for each: it learns from the others and stops by its own, and says
-what it would correct there. What predicts later is the mean of them all. Without folds there is
-one network, with trajectories of its own to stop by.
+With folds, there is one network per fold. The network of a fold is trained on the other folds, uses
+its own fold for early stopping, and predicts the corrections of its own fold. The final correction
+is the mean of the outputs of all networks. Without folds, there is a single network with separate
+validation trajectories.
 
-`CausalTcn` is the network (eq. 26–27 of the PINN paper). Every layer is y = x + σ(w *_d x + b),
-chopped at its old end (Bai, Kolter & Koltun 2018), after inputs were brought to its channels;
-nothing looks ahead. Groups are networks side by side that share nothing. The last weights begin at
-zero: an untrained network adds nothing to the physics. The module imports torch: import it inside
-functions; `hil.networks.residual_tcn` predicts without.
+`CausalTcn` is the network (eq. 26–27 of the PINN paper). In `CausalTcn`, a first linear layer maps
+the inputs to the channels. Every further layer computes y = x + σ(w *_d x + b), truncated at the
+old end (Bai, Kolter & Koltun 2018), and uses no future samples. The groups of `CausalTcn` are
+parallel networks that share no weights. The output weights start at zero, so an untrained network
+does not change the prediction of the physics. This module imports torch, so other modules must
+import this module only inside functions; `hil.networks.residual_tcn` predicts without torch.
 """
 
 from __future__ import annotations
@@ -45,15 +47,15 @@ from hil.networks.training_loop import Loss, torch_device, torch_dtype, train
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """How networks are trained.
+    """Settings for training residual networks.
 
     Attributes:
-        network: What they see, and how large they are.
-        training: Steps, batches, when to stop.
-        validation_share: Of the trajectories, to stop by where there are no folds.
-        seed: Of start weights, mini-batches and held-out trajectories.
-        watch: Told every epoch.
-        checkpoints: Folder to keep the training in.
+        network: Inputs and size of the networks.
+        training: Training settings, such as steps, batches and stopping criteria.
+        validation_share: Share of the trajectories used for early stopping if there are no folds.
+        seed: Seed of start weights, mini-batches and the choice of held-out trajectories.
+        watch: Function that is called with every epoch.
+        checkpoints: Folder for the checkpoints.
     """
 
     network: ResidualSettings
@@ -68,13 +70,13 @@ def learn(data: Dataset, physics: Physics, course: Course) -> Learnt:
     """Train networks on filtered data at the full recorded rate.
 
     Args:
-        data: All rows, prepared; none left out.
-        physics: What is corrected.
-        course: How.
+        data: Prepared dataset with all its rows.
+        physics: Predictions of the physics, which the networks correct.
+        course: Settings of networks and training.
 
     Raises:
-        FitError: Training diverged, or there is nothing to learn from or to stop by.
-        DataError: Series are sampled at different rates, or the torque to be heard is missing.
+        FitError: The training diverged, or there are no training rows or no validation rows.
+        DataError: The series have different sample rates, or a required torque input is missing.
         PluginError: The extra `learn` is missing.
     """
     motions = Motions.of(data, physics.predicted, course.network)
@@ -96,7 +98,7 @@ def learn(data: Dataset, physics: Physics, course: Course) -> Learnt:
 
 
 def _rounds(data: Dataset, fold: IntArray, course: Course) -> Iterator[tuple[BoolArray, BoolArray]]:
-    """Rows to learn from and rows to stop by, once per network."""
+    """Yield a mask of the training rows and a mask of the validation rows for each network."""
     numbers = np.unique(fold[fold >= 0])
     if len(numbers) < 2:
         yield training_and_validation(data, course.validation_share, course.seed)
@@ -106,11 +108,11 @@ def _rounds(data: Dataset, fold: IntArray, course: Course) -> Iterator[tuple[Boo
 
 
 def _require_rows(fit: BoolArray, stop: BoolArray) -> None:
-    for rows, what in ((fit, "to learn from"), (stop, "to stop by")):
+    for rows, what in ((fit, "to train on"), (stop, "for early stopping")):
         if not np.any(rows):
             raise FitError(
                 f"the residual network has no rows {what} for which the physics is valid",
-                hint="give at least two trajectories, or one that is longer",
+                hint="use at least two trajectories, or one that is longer",
             )
 
 
@@ -142,36 +144,38 @@ def _train(
 
 
 TOGETHER = 64
-"""Crops validated at once; bounds memory."""
+"""Number of crops that are validated at once, which limits memory."""
 
 
 class ResidualProblem:
-    """What a physical model leaves, to be learned at the full recorded rate.
+    """Training problem for the residual of a physical model at the full recorded rate.
 
-    A sample is a crop: `settings.crop` instants to predict with the windows before them. Those
-    instants count that are to be learned from; inputs may come from any row, since a causal
-    network sees only what was before.
+    A sample is a crop: `settings.crop` instants to predict, each with the window of rows before it.
+    Only instants of training rows contribute to the loss. The inputs of a crop can come from any
+    row, because a causal network uses only earlier samples.
 
     Args:
-        motions: All series, no rows left out.
+        motions: All series with all their rows.
         residual: (N, n) measured minus predicted effort.
-        learn: (N,) rows to learn from; scales, the cut-off between slow and fast, and the two
-            parts are of these alone. What smoothed the residual before is not known here.
-        validate: (N,) rows to stop by.
-        settings: The network's.
-        loss: Of errors over the size of the residual, or of its slow and fast part each.
-        seed: Of the start weights.
-        device: Where the data are kept and the network is trained.
-        dtype: Of both.
+        learn: (N,) mask of the training rows. Scales, the cut-off frequency and the slow and fast
+            parts are computed from the training rows only. However, a filter that was applied to
+            the residual beforehand can have mixed other rows into the training rows.
+        validate: (N,) mask of the validation rows.
+        settings: Settings of the network.
+        loss: Loss of the prediction errors, relative to the size of the residual or of its slow and
+            fast part.
+        seed: Seed of the start weights.
+        device: Device of the data and the network.
+        dtype: Number type of the data and the network.
 
     Attributes:
-        module: The `CausalTcn`; branches and joints are groups of it.
-        samples: Crops.
-        f_cut_hz: Where slow and fast part; 0 without a split.
+        module: Network (`CausalTcn`) whose groups are the branches and joints.
+        samples: Number of crops.
+        f_cut_hz: Cut-off frequency between slow and fast part [Hz]; 0 without a split.
 
     Raises:
-        DataError: There are no rows to learn from or to stop by, values are not finite, or the
-            torque that shall be heard is not there.
+        DataError: There are no training rows or no validation rows, values are not finite, or a
+            required torque input is missing.
     """
 
     def __init__(
@@ -215,11 +219,11 @@ class ResidualProblem:
         self.module: nn.Module = self._network
 
     def groups(self) -> Mapping[str, Sequence[nn.Parameter]]:
-        """One group: all weights."""
+        """Return a single parameter group with all weights."""
         return {GROUP: tuple(self.module.parameters())}
 
     def loss(self, chosen: Tensor) -> Tensor:
-        """Mean over the rows that count, branches and joints of the crops (B,)."""
+        """Return the mean loss over the counted rows, branches and joints of the crops (B,)."""
         numbers = chosen.cpu().numpy()
         rows = torch.as_tensor(self._learn.rows[numbers], device=self._x.device)
         counted = torch.as_tensor(self._learn.counted[numbers], device=self._x.device)
@@ -227,14 +231,15 @@ class ResidualProblem:
         return each[counted].mean()
 
     def validate(self) -> float:
-        """Error over the size of what is learned from, mean over joints.
+        """Return the validation error relative to the size of the training residual.
 
-        About 1 is what adding nothing gives.
+        The validation error is the mean over all joints. A network whose correction is always zero
+        has a validation error of about 1.
         """
         return float(np.mean(self.validation_errors() / self._size))
 
     def validation_errors(self) -> FloatArray:
-        """(n,) root mean square error over the rows to stop by, in units of effort."""
+        """Return the root mean square error (n,) over the validation rows, in units of effort."""
         squares, count = np.zeros(self.motions.n), 0
         scale = torch.as_tensor(self.scale, dtype=self._x.dtype, device=self._x.device)
         for numbers in np.array_split(
@@ -250,13 +255,13 @@ class ResidualProblem:
         return np.asarray(np.sqrt(squares / count))
 
     def trained(self) -> TrainedTcn:
-        """The network as it is now."""
+        """Return the network with its current weights."""
         return TrainedTcn(
             self.inputs, self._network.weights(), self.scale, self.motions.rate_hz, self.f_cut_hz
         )
 
     def _outputs(self, segments: Segments, numbers: IntArray) -> Tensor:
-        """(B, crop, branches, n) of the crops with these numbers."""
+        """Return the network outputs (B, crop, branches, n) for the crops with the numbers (B,)."""
         at = torch.as_tensor(segments.inputs_of(numbers, self.settings), device=self._x.device)
         x = self._x[..., at].permute(2, 0, 1, 3)  # (B, G, F, L)
         y = self._network(x.repeat(1, self.settings.branches, 1, 1), segments.every)
@@ -269,7 +274,7 @@ def _require_usable(
 ) -> None:
     if not (np.any(learn) and np.any(validate)):
         raise DataError(
-            "a residual network needs rows to learn from and rows to stop by",
+            "a residual network needs training rows and rows for early stopping",
             hint="record more, or lower validation_share",
         )
     columns = {"q": motions.q, "qd": motions.qd, "qdd": motions.qdd, "base": motions.base}
@@ -279,7 +284,7 @@ def _require_usable(
         if values.shape != motions.q.shape or not np.all(np.isfinite(values)):
             raise DataError(
                 f"{name} of the residual network is not finite or not {motions.q.shape}",
-                hint="import the file again with --drop-bad-rows, or leave the series out",
+                hint="import the file again with --drop-bad-rows, or leave the recording out",
             )
 
 
@@ -290,14 +295,14 @@ def _cut_off(motions: Motions, learn: BoolArray, settings: ResidualSettings) -> 
 
 
 class CausalTcn(nn.Module):
-    """G causal networks, each with its own inputs and outputs.
+    """Set of G parallel causal networks with separate inputs and outputs.
 
     Args:
-        inputs: F, of each group.
-        outputs: O, of each group.
-        settings: Channels, kernel, dilations, activation.
-        groups: G.
-        seed: Of the start weights.
+        inputs: Number of inputs F of each group.
+        outputs: Number of outputs O of each group.
+        settings: Settings of the network: channels, kernel, dilations and activation.
+        groups: Number of groups G.
+        seed: Seed of the start weights.
     """
 
     def __init__(
@@ -325,12 +330,13 @@ class CausalTcn(nn.Module):
         self.leave_bias = nn.Parameter(torch.zeros(groups, outputs))
 
     def forward(self, x: Tensor, every: int = 1) -> Tensor:
-        """(B, G, O, L) from inputs (B, G, F, (L - 1)·every + window).
+        """Return outputs (B, G, O, L) from inputs (B, G, F, (L - 1)·every + window).
 
         Args:
-            x: Inputs at every sample.
-            every: Samples between outputs; it divides all dilations but the first. Layers behind
-                the first then need no other instants: they cost so many times less.
+            x: Inputs of the networks at every sample.
+            every: Number of samples between two outputs, which divides all dilations but the first.
+                All layers after the first are evaluated only at the output instants, which divides
+                their cost by `every`.
         """
         batch, length = x.shape[0], x.shape[-1]
         h = self._mixed(x.reshape(batch, -1, length), self.enter, self.enter_bias)
@@ -350,13 +356,13 @@ class CausalTcn(nn.Module):
         return y + h[..., newest::stride][..., : y.shape[-1]]
 
     def _mixed(self, h: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-        """Channels of each group mixed, sample by sample."""
+        """Return a linear combination of the channels of each group, for each sample."""
         return functional.conv1d(
             h, weight.flatten(0, 1)[..., None], bias.flatten(), groups=self.groups
         )
 
     def weights(self) -> TcnWeights:
-        """As they are now, for prediction without torch."""
+        """Return the current weights for prediction without torch."""
         return TcnWeights(
             enter=_array(self.enter),
             enter_bias=_array(self.enter_bias),

@@ -1,20 +1,21 @@
-"""Gravity by least squares, and what it leaves by one network per joint (static paper, II.C).
+"""Gravity by least squares, and one network per joint for the residual (static paper, II.C).
 
-The networks are trained by our own Levenberg–Marquardt (`hil.networks.lm`) on the residual current
-of the dwells. With the joint positions as their only inputs they can learn what friction does on
-average over poses like these, but not which way it is stuck: that depends on how the pose was
-approached. `inputs` can therefore hold more than positions:
+The networks are trained by the Levenberg–Marquardt method (`hil.networks.lm`) on the residual
+current of the dwells. With the joint positions as the only inputs, the networks can learn the
+average friction over similar poses, but not the direction of the friction, which depends on how the
+pose was approached. The parameter `inputs` can therefore contain further inputs besides positions:
 
 - `q2`: a column of the dataset and the number of a joint, from 1;
-- `approach`: +1 or −1, from which side the pose was approached; 0 where that is not known;
-- `history`: any other column (N, n) of the dataset as a whole, n inputs;
-- `own:history`: of such a column only the joint whose network it is, 1 input.
+- `approach`: approach direction +1 or −1 of the pose; 0 if it is not known;
+- `history`: any other complete column (N, n) of the dataset, which gives n inputs;
+- `own:history`: the value of the network's own joint in such a column, which gives 1 input.
 
-Not the effort itself, in none of its forms: a network that is shown the current predicts nothing.
-The commanded effort is no better: at rest it is the measured one without the noise.
+The effort is not permitted as an input in any form, because a network with the motor current as
+input does not predict the current, but copies it. The commanded effort is not permitted as an input
+either, because at standstill the commanded effort is the measured effort without noise.
 
-A network of 741 weights remembers 650 poses without effort, so training stops by poses that are
-held out from it (`validation_percent`), whole poses, not samples.
+A network with 741 weights easily overfits 650 poses. Training therefore stops early by the error on
+held-out poses (`validation_percent`), which are complete poses and not single samples.
 """
 
 from __future__ import annotations
@@ -49,14 +50,15 @@ FRICTION = "friction"
 
 
 TARGETS = ("effort", "current", "torque")
-"""Columns whose names hold one of these are what is to be predicted, or made of it."""
+"""Words in the names of columns that are, or are derived from, the predicted quantity."""
 
 
 def checked_names(parameter_name: str, names: Any) -> list[str]:
-    """Names as a list.
+    """Return the names of inputs as a list.
 
     Raises:
-        SpecError: It is no list of names, is empty, a name occurs twice, or it is the effort.
+        SpecError: The value is not a list of names, is empty, contains a name twice, or contains
+            the effort.
     """
     if isinstance(names, str) or not isinstance(names, list | tuple) or not names:
         raise SpecError(
@@ -64,9 +66,9 @@ def checked_names(parameter_name: str, names: Any) -> list[str]:
         )
     wrong = [name for name in names if not isinstance(name, str) or not name]
     if wrong:
-        raise SpecError(f"{parameter_name}: {wrong[0]!r} is no name of a column")
+        raise SpecError(f"{parameter_name}: {wrong[0]!r} is not a column name")
     if len(set(names)) != len(names):
-        raise SpecError(f"{parameter_name}: {max(names, key=names.count)} is there twice")
+        raise SpecError(f"{parameter_name}: {max(names, key=names.count)} is listed twice")
     _require_no_target(names)
     return list(names)
 
@@ -75,22 +77,21 @@ def _require_no_target(names: list[str] | tuple[str, ...]) -> None:
     for name in names:
         if any(target in name.lower() for target in TARGETS):
             raise SpecError(
-                f"inputs: {name!r} is the effort that is to be predicted, or made of it: the model "
-                "would be given its answer",
-                hint="use positions, velocities, temperature, approach, or columns of your own "
-                "that are known without measuring or commanding an effort",
+                f"inputs: {name!r} is the effort that the model predicts, or is computed from it",
+                hint="use positions, velocities, temperature, approach, or your own columns that "
+                "are known without measuring or commanding an effort",
             )
 
 
 class StaticMlpLm(StaticModel):
-    """Gravity, offset and friction of an arm at rest.
+    """Estimator of gravity, offset and friction of a static arm.
 
     Attributes:
-        networks_: The trained networks, one per joint.
-        results_: How their training went.
-        sigma_: (n,) RMSE at the held-out poses; without any, at the training poses, which is less
-            than at others.
-        callback: Told every epoch of every joint while it fits; not stored.
+        networks_: Trained networks, one per joint.
+        results_: Training result of each network.
+        sigma_: (n,) RMSE on the held-out poses. Without held-out poses, `sigma_` is the RMSE on the
+            training poses, which is lower than on other poses.
+        callback: Function that is called with every epoch of every joint; not stored.
     """
 
     estimator: ClassVar[str] = "static-mlp-lm"
@@ -98,36 +99,46 @@ class StaticMlpLm(StaticModel):
     callback: Callback | None = None
 
     layers: Sequence[int] = parameter(
-        (4, 20, 20, 10, 1), as_given, doc="Units per layer of every joint's network, inputs first."
+        (4, 20, 20, 10, 1),
+        as_given,
+        doc="Number of units per layer of each joint's network, inputs first.",
     )
     activations: Sequence[str] | None = parameter(
-        None, as_given, doc="One per layer behind the inputs; None is tanh, and a linear output."
+        None,
+        as_given,
+        doc="Activation per layer after the inputs; None: tanh, and a linear output.",
     )
     inputs: list[str] = parameter(
         ("q2", "q3", "q4", "q5"),
         checked_names,
-        doc="What the networks see, see `hil.networks.static_network`.",
+        doc="Inputs of the networks, see `hil.networks.static_network`.",
     )
-    epochs: int = parameter(1000, whole, at_least=1, doc="Of training, at most.")
+    epochs: int = parameter(1000, whole, at_least=1, doc="Maximum number of epochs.")
     validation_percent: float = parameter(
         10.0,
         number,
         at_least=0.0,
-        doc="Of the training poses, held out from the networks to stop by; 0: none. The gravity "
-        "fit sees them.",
+        doc="Percentage of the training poses that is held out from the networks for early "
+        "stopping; 0: none. The gravity fit uses these poses.",
     )
     patience: int = parameter(
-        50, whole, at_least=1, doc="Epochs without a better validation error until a network stops."
+        50,
+        whole,
+        at_least=1,
+        doc="Number of epochs without a better validation error after which a network stops.",
     )
     weight_decay: float = parameter(
         0.0,
         number,
         at_least=0.0,
-        doc="Times the sum of squared weights, beside the mean square error of the standardised "
-        "residual.",
+        doc="Factor of the sum of squared weights, which is added to the mean square error of "
+        "the standardised residual.",
     )
     averaging: bool = parameter(
-        True, flag, doc="Train on one row per dwell, weighted by its samples: the same minimum."
+        True,
+        flag,
+        doc="Whether to train on one row per dwell, weighted by its number of "
+        "samples; the minimum is the same.",
     )
     form: Form = parameter(
         "shared", choice, ("shared", "paper"), doc="`shared` or `paper`, as in `StaticWls`."
@@ -137,28 +148,31 @@ class StaticMlpLm(StaticModel):
         0.01,
         number,
         above=0.0,
-        doc="Faster than this [rad/s] a row is not at rest and the model not valid.",
+        doc="Maximum speed [rad/s] of a row at standstill; the model is not valid above this "
+        "speed.",
     )
     precision: Precision = parameter(
         "float64", as_given, doc="`float64`, or `float32` for the Jacobian and its products."
     )
     device: str = parameter("cpu", as_given, doc="`cpu` or `cuda`.")
-    seed: int = parameter(0, whole, at_least=0, doc="Of start weights and held-out poses.")
+    seed: int = parameter(
+        0, whole, at_least=0, doc="Random seed of initial weights and held-out poses."
+    )
     jobs: int = parameter(
         1,
         whole,
         at_least=1,
-        doc="Processes to spread the joints over; the result does not depend on it.",
+        doc="Number of processes for the joints; the result does not depend on it.",
     )
 
     def _check_together(self) -> None:
         super()._check_together()
-        _ = self._mlp  # layers and activations that fit each other
+        _ = self._mlp  # raises if layers and activations do not match
         Settings.given(self._settings())
         if self.validation_percent >= 100.0:
             raise SpecError(
                 f"validation_percent is {self.validation_percent:g}, but must be below 100",
-                hint="20 is usual",
+                hint="20 is a usual value",
             )
 
     @property
@@ -166,14 +180,14 @@ class StaticMlpLm(StaticModel):
         return Mlp(self.layers, self.activations)
 
     def extras(self) -> dict[str, str]:
-        """PyTorch on any device but the CPU."""
+        """Return the optional extra for PyTorch, which is needed on any device but the CPU."""
         return {} if self.device == "cpu" else {"learn": f"for device: {self.device}"}
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit gravity and offset to the dwells, then the networks to what they leave.
+        """Fit gravity and offset to the dwells, then the networks to the residual.
 
         Raises:
-            FitError: The data are too few, not finite, of another robot or unit, or lack an
+            FitError: The data are too few, not finite, of a different robot or unit, or lack an
                 input; or no pose could be held out.
         """
         dwells = self._dwells(dataset, robot)
@@ -184,12 +198,12 @@ class StaticMlpLm(StaticModel):
         return self
 
     def predict(self, dataset: Dataset) -> Prediction:
-        """Gravity, offset, friction and payload per row; rows in motion are not valid.
+        """Return gravity, offset, friction and payload per row; rows in motion are not valid.
 
         Raises:
-            DataError: The data are of another robot or unit, or lack an input.
-            FitError: A load is mounted, and the fit knew no drive gains; or the model has another
-                number of inputs than its layers.
+            DataError: The data belong to a different robot or unit, or lack an input.
+            FitError: A load is mounted and the model has no drive gains; or the number of inputs
+                differs from the first layer.
         """
         base = super().predict(dataset)
         X = network_inputs(dataset, self.inputs)
@@ -200,40 +214,41 @@ class StaticMlpLm(StaticModel):
         return Prediction(effort, base.std, valid, {**base.components, FRICTION: friction})
 
     def stream(self, payload: Payload | None = None) -> Stream:
-        """A predictor for one sample at a time.
+        """Return a predictor for one sample at a time.
 
         Raises:
-            FitError: The networks need more than the joint positions, or see `StaticWls.stream`.
+            FitError: The networks have inputs other than joint positions, or `StaticWls.stream`
+                raises.
         """
         super().stream(payload)
         if not positions_only(self.inputs):
             raise FitError(
-                f"a network with the inputs {', '.join(self.inputs)} cannot be streamed: a stream "
-                "knows the motion only",
-                hint="fit with inputs from q alone, or predict whole datasets",
+                f"a network with the inputs {', '.join(self.inputs)} cannot be streamed: a "
+                "stream has only the motion as input",
+                hint="fit with position inputs only, or predict whole datasets",
             )
         return MemorylessStream(
             self.robot_.n, self._parts_and_friction, self._load_effort, payload or Payload()
         )
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
-        """Those of gravity and offset, and the networks' weights and scaling."""
+        """Return the arrays of gravity and offset, and the weights and scaling of the networks."""
         return super().fitted_arrays() | arrays_of(self.networks_)
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Those of gravity and offset, and how each network's training went."""
+        """Return the facts of gravity and offset, and the training result of each network."""
         networks = zip(self.joint_names_, self.results_, strict=True)
         told = [{"joint": joint} | asdict(result) for joint, result in networks]
         return super().fitted_facts() | {"networks": told}
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        """Restore the fit from the results of `fitted_arrays` and `fitted_facts`."""
         super().restore(arrays, facts)
         self.networks_ = networks_from(self._mlp, arrays)
         self.results_ = tuple(NetworkResult.restored(fact) for fact in facts["networks"])
 
     def _train(self, dwells: Dataset) -> None:
-        """Networks for what gravity and offset leave of the dwells."""
+        """Train the networks on the residual of gravity and offset at the dwells."""
         training, held_out = held_out_poses(dwells, self.validation_percent, self.seed)
         X, Y, groups = self._rows(training)
         require_layout(X, self._mlp.inputs, self.inputs)
@@ -247,7 +262,7 @@ class StaticMlpLm(StaticModel):
         self.sigma_ = np.array([r.validation_rmse or r.train_rmse for r in self.results_])
 
     def _rows(self, dwells: Dataset) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Inputs, residual (N, n) and number of the dwell of every row."""
+        """Return the inputs, the residual (N, n) and the dwell number of every row."""
         residual = dwells["effort"] - super().predict(dwells).effort
         return network_inputs(dwells, self.inputs), residual, dwells.series_index()
 
@@ -274,22 +289,22 @@ OWN = "own:"
 
 
 def positions_only(names: list[str]) -> bool:
-    """Whether the inputs follow from the joint positions alone."""
+    """Return whether all named inputs are joint positions."""
     return all(name == "q" or re.fullmatch(r"q\d+", name) for name in names)
 
 
 def position_inputs(q: FloatArray, names: list[str]) -> FloatArray:
-    """(N, d) inputs that follow from positions (N, n) alone, see `positions_only`."""
+    """Return the inputs (N, d) from positions (N, n); all input names must be joint positions."""
     return np.concatenate(
         [q if name == "q" else q[:, int(name[1:]) - 1, None] for name in names], 1
     )
 
 
 def network_inputs(dataset: Dataset, names: list[str]) -> FloatArray:
-    """(N, d) inputs, or (n, N, d) when joints have inputs of their own.
+    """Return the inputs (N, d), or (n, N, d) if joints have different inputs.
 
     Raises:
-        DataError: The dataset has no such column, or the robot no such joint.
+        DataError: The dataset lacks a named column, or the robot lacks a numbered joint.
     """
     parts = [_columns(dataset, name) for name in names]
     if all(part.ndim == 2 for part in parts):
@@ -303,7 +318,7 @@ _NUMBERED = re.compile(r"([A-Za-z_]+)(\d+)")
 
 
 def _columns(dataset: Dataset, name: str) -> FloatArray:
-    """(N, k), or (n, N, 1) for a joint's own."""
+    """Return a single input as (N, k), or as (n, N, 1) if joints have different values."""
     if name.startswith(OWN):
         values = _column(dataset, name.removeprefix(OWN))
         if values.shape[1] != dataset.n_joints:
@@ -316,13 +331,13 @@ def _columns(dataset: Dataset, name: str) -> FloatArray:
     if not 1 <= joint <= values.shape[1]:
         raise DataError(
             f"input {name}: there is no joint {joint}",
-            hint=f"joints are counted from 1 to {values.shape[1]}",
+            hint=f"joints are numbered from 1 to {values.shape[1]}",
         )
     return values[:, joint - 1 : joint]
 
 
 def _column(dataset: Dataset, name: str) -> FloatArray:
-    """(N, k)."""
+    """Return a column as (N, k)."""
     if name == APPROACH and name not in dataset.columns:
         sides = np.array([c.approach for c in dataset.conditions], dtype=np.float64)
         return sides[dataset.series_index()][:, None]
@@ -336,28 +351,29 @@ def _column(dataset: Dataset, name: str) -> FloatArray:
 
 
 def require_layout(X: FloatArray, first: int, names: list[str]) -> None:
-    """Refuse inputs (N, d) or (n, N, d) that are more or fewer than the first of the layers.
+    """Raise if the number of inputs d of (N, d) or (n, N, d) differs from the first layer.
 
     Raises:
-        FitError: They are.
+        FitError: The number of inputs differs from the first layer.
     """
     if X.shape[-1] != first:
         raise FitError(
-            f"layers begins with {first}, but {', '.join(names)} are {X.shape[-1]} inputs",
+            f"layers begins with {first}, but the network has {X.shape[-1]} inputs: "
+            f"{', '.join(names)}",
             hint=f"use layers: [{X.shape[-1]}, …]",
         )
 
 
 @dataclass(frozen=True, slots=True)
 class NetworkResult:
-    """How the training of one joint's network went, as `model.json` keeps it.
+    """Training result of the network of one joint, as stored in `model.json`.
 
     Attributes:
-        epochs: Done.
-        best_epoch: Whose weights were kept.
-        stopped: Why it ended, see `hil.networks.lm.History`.
-        train_rmse, validation_rmse: Of the weights kept, over all rows, in effort units; None
-            without validation poses.
+        epochs: Number of completed epochs.
+        best_epoch: Number of the epoch whose weights are used.
+        stopped: Reason for the end of the training, see `hil.networks.lm.History`.
+        train_rmse, validation_rmse: Errors of the used weights over all training or validation
+            rows, in effort units; the validation error is None without validation poses.
     """
 
     epochs: int
@@ -368,7 +384,7 @@ class NetworkResult:
 
     @staticmethod
     def of(history: History) -> NetworkResult:
-        """From the history of a training."""
+        """Return the training result that corresponds to a training history."""
         held_out = history.final_validation_rmse
         return NetworkResult(
             history.epochs, history.best_epoch, history.stopped, history.final_train_rmse,
@@ -377,7 +393,7 @@ class NetworkResult:
 
     @staticmethod
     def restored(fact: dict[str, Any]) -> NetworkResult:
-        """From what `model.json` says of one network."""
+        """Return the training result from the entry of one network in `model.json`."""
         return NetworkResult(**{each.name: fact[each.name] for each in fields(NetworkResult)})
 
 
@@ -385,26 +401,26 @@ _SCALING = tuple(each.name for each in fields(Scaling))
 
 
 def arrays_of(networks: Trained) -> dict[str, FloatArray]:
-    """Weights and scaling, by their names in a model file."""
+    """Return the weights and the scaling of the networks by their names in a model file."""
     scaling = {name: getattr(networks.scaling, name) for name in _SCALING}
     arrays = {"weights": networks.weights, **scaling}
     return {f"network.{name}": values for name, values in arrays.items()}
 
 
 def networks_from(mlp: Mlp, arrays: dict[str, FloatArray]) -> Trained:
-    """Inverse of `arrays_of`; how the training went is not in it."""
+    """Return the networks from the result of `arrays_of`, without training histories."""
     scaling = Scaling(**{name: arrays[f"network.{name}"] for name in _SCALING})
     weights = arrays["network.weights"]
     if weights.shape[1:] != (mlp.n_weights,) or scaling.input_mean.shape[1:] != (mlp.inputs,):
-        raise ValueError(f"network.weights: their shape is not that of a network {mlp}")
+        raise ValueError(f"network.weights: the shape does not match a network {mlp}")
     return Trained(mlp, weights, scaling)
 
 
 def held_out_poses(dwells: Dataset, percent: float, seed: int) -> tuple[Dataset, Dataset | None]:
-    """Dwells to train on, and those of whole poses to stop by; None with 0 %.
+    """Return the training dwells and the validation dwells, by complete poses; None with 0 %.
 
     Raises:
-        FitError: There are not enough poses.
+        FitError: There are not enough poses to hold some out.
     """
     if percent == 0:
         return dwells, None
@@ -412,7 +428,7 @@ def held_out_poses(dwells: Dataset, percent: float, seed: int) -> tuple[Dataset,
         parts = split(dwells, "pose", percent / 100.0, seed)
     except DataError as error:
         raise FitError(
-            f"no poses can be held out to stop the training by: {error.message}",
-            hint="give more poses, or validation_percent: 0",
+            f"no poses can be held out for early stopping: {error.message}",
+            hint="use more poses, or validation_percent: 0",
         ) from error
     return parts.train, parts.test

@@ -1,10 +1,10 @@
-"""Training networks by gradient, up to where PyTorch is needed: settings, stages, learning curves.
+"""Settings, stages and learning curves of gradient training; independent of torch.
 
-An estimator that trains a network poses a `Problem` (the network with its data in memory), says in
-which order its parts are trained (`Stage`), and hands both with `TrainingSettings` to
-`hil.networks.training_loop.train`, which imports torch. It reports every epoch (`Told`) to a
-`Watch` and returns `Curves`. Nothing here imports torch, so that settings can be checked, models
-read and curves drawn without it.
+An estimator that trains a network creates a `Problem` (the network with its data in memory) and the
+order in which its parts are trained (`Stage`). The estimator passes the problem, the stages and
+`TrainingSettings` to `hil.networks.training_loop.train`, which imports torch. The function `train`
+reports every epoch (`Told`) to a `Watch` and returns `Curves`. This module does not import torch;
+settings can therefore be checked, models read and curves drawn without torch.
 """
 
 from __future__ import annotations
@@ -34,33 +34,40 @@ DeviceName = Annotated[str, StringConstraints(pattern=r"^(auto|cpu|cuda(:\d+)?)$
 
 
 class TrainingSettings(BaseModel):
-    """How to train: mini-batches, steps, when to stop, and where.
+    """Training settings: mini-batches, optimiser, stopping criteria and device.
 
-    The defaults are those that converged soonest per CPU second on a simulated arm of six joints.
+    The default settings are those that converged fastest in CPU time on a simulated six-joint arm.
 
     Attributes:
-        epochs: Of all stages together, at most.
-        batch_size: Samples per step.
-        learning_rate: Of Adam (Kingma and Ba 2015), at its highest.
-        schedule: `cosine` falls to `final_rate` over every stage; `constant` stays.
-        final_rate: Share of the learning rate that a cosine ends with.
-        warm_up_steps: Steps of every stage over which the rate rises linearly.
-        group_rates: Times the learning rate, by group of parameters.
-        clip_norm: Longest gradient; longer ones are shortened to it. None shortens none.
-        weight_decay: Decoupled from the gradient (Loshchilov and Hutter 2019), on matrices only:
-            coefficients with a unit are not pulled to 0.
-        patience: Epochs without a better validation error until a stage ends.
-        loops: Of hybrid learning: how often joint learning and dynamics alone take turns.
-        inner_share: Epochs of dynamics alone per epoch of joint learning in a loop.
-        outer_share: The same for dynamics alone after the last loop.
-        loop_rate: Times the learning rate from one loop to the next.
-        loss: The measure of an error that is minimised, see `hil.networks.training_loop.Loss`.
-        seed: Of the order of mini-batches, and of whatever the network draws.
-        device: `auto` is the GPU when there is one; `cpu`, `cuda`, `cuda:1`.
-        precision: Of weights and data.
-        amp: Matrix products in bfloat16 (automatic mixed precision).
-        threads: Of torch on the CPU while it trains. Small networks gain nothing from more, and
-            sums do not depend on the number of cores.
+        epochs: Maximum number of epochs, for all stages together.
+        batch_size: Number of samples per optimiser step.
+        learning_rate: Maximum learning rate of Adam (Kingma and Ba 2015).
+        schedule: Learning-rate schedule: with `cosine`, the rate decreases to `final_rate` in every
+            stage; with `constant`, the rate stays unchanged.
+        final_rate: Learning rate at the end of the cosine, as a share of `learning_rate`.
+        warm_up_steps: Number of steps at the start of every stage in which the rate rises linearly.
+        group_rates: Factors on the learning rate, by parameter group.
+        clip_norm: Maximum norm of the gradient; longer gradients are scaled to this norm. With
+            `clip_norm` None the gradient is not clipped.
+        weight_decay: Weight decay, decoupled from the gradient (Loshchilov and Hutter 2019). Only
+            matrices decay; coefficients with a unit are not reduced towards 0.
+        patience: Number of epochs without a lower validation error after which a stage ends.
+        loops: Number of loops of hybrid learning; each loop is joint learning, then learning of the
+            dynamics alone.
+        inner_share: Number of epochs of learning the dynamics alone, per epoch of joint learning in
+            a loop.
+        outer_share: Number of epochs of learning the dynamics alone after the last loop, per epoch
+            of joint learning in a loop.
+        loop_rate: Factor by which the learning rate changes from one loop to the next.
+        loss: Error measure that is minimised, see `hil.networks.training_loop.Loss`.
+        seed: Seed of the order of mini-batches and of all random numbers of the network.
+        device: Device of the training: `auto` (the GPU if there is one, else the CPU), `cpu`,
+            `cuda` or `cuda:1`.
+        precision: Number type of weights and data.
+        amp: Whether matrix products use bfloat16 (automatic mixed precision).
+        threads: Number of CPU threads of torch during training. Training of small networks is not
+            faster with more threads; with a fixed number of threads, the sums do not depend on the
+            number of cores.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -89,12 +96,15 @@ class TrainingSettings(BaseModel):
     @model_validator(mode="after")
     def _amp_is_of_float32(self) -> Self:
         if self.amp and self.precision != "float32":
-            raise ValueError("amp mixes float32 with bfloat16, so precision must be float32")
+            raise ValueError("amp combines float32 with bfloat16, so precision must be float32")
         return self
 
     @classmethod
     def literal(cls, **changed: object) -> Self:
-        """What the paper prints: batch 50, 5e-4, SMAPE of eq. (20); nothing it does not mention."""
+        """Return the PINN paper's settings: batch size 50, learning rate 5e-4, SMAPE of eq. (20).
+
+        Techniques that the PINN paper does not mention are disabled.
+        """
         printed: dict[str, object] = {
             "batch_size": 50,
             "learning_rate": 5e-4,
@@ -108,19 +118,20 @@ class TrainingSettings(BaseModel):
 
 
 DYNAMICS, FRICTION = "dynamics", "friction"
-"""Groups of parameters of a Lagrangian network with friction."""
+"""Names of the parameter groups of a Lagrangian network with friction."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A part of the training.
+    """Stage of a training.
 
     Attributes:
-        name: For people, and for the learning curves.
-        trains: Groups of parameters that move; the others are frozen. None named: all move.
-        epochs: At most.
-        patience: Epochs without a better validation error until it ends.
-        learning_rate_factor: Times the settings' learning rate.
+        name: Name of the stage, which is displayed and stored in the learning curves.
+        trains: Names of the parameter groups that are trained, while all others are frozen; if
+            empty, all groups are trained.
+        epochs: Maximum number of epochs.
+        patience: Number of epochs without a lower validation error after which the stage ends.
+        learning_rate_factor: Factor on the learning rate of the training settings.
     """
 
     name: str
@@ -131,18 +142,20 @@ class Stage:
 
 
 def joint_stages(settings: TrainingSettings, name: str = "joint") -> tuple[Stage, ...]:
-    """One stage in which everything is trained."""
+    """Return a single stage in which all parameters are trained."""
     return (Stage(name, (), settings.epochs, settings.patience),)
 
 
 def hybrid_stages(settings: TrainingSettings) -> tuple[Stage, ...]:
-    """Algorithm 1 of the PINN paper: joint learning and dynamics alone in turns, then dynamics.
+    """Return the stages of Algorithm 1 of the PINN paper.
 
-    Lines 4 to 10 are the joint stage of a loop, 11 to 17 its inner stage with frozen friction, 19
-    to 25 the outer one. "Until the loss function converges" is the stages' patience.
+    Each loop trains all parameters jointly and then the dynamics alone; after the last loop the
+    dynamics are trained again. Lines 4 to 10 of Algorithm 1 are the joint stage of a loop, lines 11
+    to 17 the inner stage with frozen friction, and lines 19 to 25 the outer stage. The patience of
+    the stages implements the condition "until the loss function converges" of Algorithm 1.
 
     Args:
-        settings: `epochs` is spread over all stages.
+        settings: Training settings, whose `epochs` are distributed over all stages.
     """
     count, alone = settings.loops, (DYNAMICS,)
     unit = settings.epochs / (count * (1.0 + settings.inner_share) + settings.outer_share)
@@ -161,15 +174,15 @@ def hybrid_stages(settings: TrainingSettings) -> tuple[Stage, ...]:
 
 
 def require_groups(who: str, named: Iterable[str], groups: Collection[str]) -> None:
-    """Refuse groups of parameters that a network does not have.
+    """Raise if a parameter group does not exist in the network.
 
     Args:
-        who: Begins the message: what names them.
-        named: The groups it names.
-        groups: Those that there are.
+        who: Start of the error message, which names the setting that contains the group names.
+        named: Group names in that setting.
+        groups: Names of the existing groups.
 
     Raises:
-        SpecError: One of them is not there.
+        SpecError: One of the named groups does not exist.
     """
     for name in named:
         if name not in groups:
@@ -180,38 +193,40 @@ def require_groups(who: str, named: Iterable[str], groups: Collection[str]) -> N
 
 
 class Problem(Protocol):
-    """A network with its data in memory.
+    """Training problem: a network with its data in memory.
 
     Attributes:
-        module: The network; its state dict is what a checkpoint keeps and early stopping restores.
-        samples: How many there are to draw mini-batches from (rows, or segments of a motion).
+        module: Network to be trained; a checkpoint stores its state dict and early stopping
+            restores it.
+        samples: Number of samples (rows, or segments of a motion) from which mini-batches are
+            drawn.
     """
 
     module: torch.nn.Module
     samples: int
 
     def groups(self) -> Mapping[str, Sequence[torch.nn.Parameter]]:
-        """Parameters by the name under which a stage trains or freezes them."""
+        """Return the parameters by the group name with which a stage trains or freezes them."""
 
     def loss(self, chosen: torch.Tensor) -> torch.Tensor:
-        """Mean loss over the samples with these numbers (B,), to be differentiated."""
+        """Return the differentiable mean loss over the samples with the numbers (B,)."""
 
     def validate(self) -> float:
-        """Error on data that are not trained on; lower is better."""
+        """Return the prediction error on data that are not used for training; lower is better."""
 
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """One epoch, as a `Watch` and the learning curves get it.
+    """Report of one epoch, which a `Watch` receives and the learning curves store.
 
     Attributes:
         stage: Name of the stage.
-        epoch: Number within the whole training, from 1.
-        epochs: At most how many there will be.
+        epoch: Number of the epoch within the whole training, from 1.
+        epochs: Maximum number of epochs of the training.
         loss: Mean training loss over the epoch.
-        validation: `Problem.validate` after it.
-        best: Least validation so far.
-        learning_rate: Of the network's parameters.
+        validation: Result of `Problem.validate` after the epoch.
+        best: Lowest validation error so far.
+        learning_rate: Learning rate of the network's parameters.
     """
 
     stage: str
@@ -228,22 +243,22 @@ Watch = Callable[[Told], None]
 
 @runtime_checkable
 class KeptIfPossible(Protocol):
-    """A `Watch` that lets a training go on when its checkpoints can no longer be written."""
+    """`Watch` that lets a training continue if checkpoints can no longer be written."""
 
     def not_kept(self, error: HilError) -> None:
-        """Take note of the reason; from now on the training is not kept."""
+        """Handle the reason why no further checkpoints of the training are written."""
 
 
 @runtime_checkable
 class HearsBeginning(Protocol):
-    """A `Watch` that is also called before the first epoch, which may take minutes."""
+    """`Watch` that is also called before the first epoch, which can take minutes."""
 
     def began(self, what: str) -> None:
-        """Take note of what is trained, and on how much."""
+        """Handle the description of the training, which names the model and the amount of data."""
 
 
 def unwatched(told: Told) -> None:
-    """Ignore an epoch: the `Watch` of a training that is not watched."""
+    """Ignore an epoch; this function is the default `Watch`."""
 
 
 BARS = "▁▂▃▄▅▆▇█"
@@ -251,16 +266,14 @@ BARS = "▁▂▃▄▅▆▇█"
 
 @dataclass(slots=True)
 class Curves:
-    """Loss and validation error per epoch.
+    """Learning curves: loss and validation error per epoch.
 
     Attributes:
         untrained: Validation error before the first step.
-        stage: Name of every epoch's stage.
+        stage: Name of the stage to which every epoch belongs.
         loss: Mean training loss of every epoch.
-        validation: Validation error after it.
-        learning_rate: At its end.
-        best: Least validation error, the untrained network's included: that of the weights kept.
-        best_epoch: Its number, from 1; 0 is the untrained network.
+        validation: Validation error after every epoch.
+        learning_rate: Learning rate at the end of every epoch.
     """
 
     untrained: float
@@ -271,12 +284,12 @@ class Curves:
 
     @property
     def best(self) -> float:
-        """Least validation error, the untrained network's included."""
+        """Lowest validation error, including that of the untrained network."""
         return min([self.untrained, *self.validation])
 
     @property
     def best_epoch(self) -> int:
-        """Number of the epoch it came after."""
+        """Number of the epoch with the lowest validation error; 0 is the untrained network."""
         everything = [self.untrained, *self.validation]
         return everything.index(min(everything))
 
@@ -284,18 +297,18 @@ class Curves:
         return len(self.loss)
 
     def last(self, epochs: int) -> list[float]:
-        """Validation errors of so many epochs at the end."""
+        """Return the validation errors of the last `epochs` epochs."""
         return self.validation[len(self.validation) - epochs :]
 
     def add(self, told: Told) -> None:
-        """One more epoch."""
+        """Append one epoch."""
         self.stage.append(told.stage)
         self.loss.append(told.loss)
         self.validation.append(told.validation)
         self.learning_rate.append(told.learning_rate)
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON, for model files and checkpoints."""
+        """Return the curves as JSON for model files and checkpoints."""
         return {
             "untrained": self.untrained,
             "stages": [[name, count] for name, count in self.spans()],
@@ -308,25 +321,25 @@ class Curves:
 
     @classmethod
     def from_dict(cls, facts: Mapping[str, Any]) -> Curves:
-        """Inverse of `to_dict`.
+        """Return the curves from the result of `to_dict`.
 
         Raises:
-            KeyError, TypeError, ValueError: Something is missing or no number.
+            KeyError, TypeError, ValueError: An entry of the curves is missing or not a number.
         """
         spans = [(str(name), int(count)) for name, count in facts["stages"]]
         loss, validation, rate = (
             [_finite(value) for value in facts[key]]
             for key in ("loss", "validation", "learning_rate")
         )
-        # Counted before it is unrolled: a damaged count may be any number.
+        # Check the counts before expanding them: a damaged file can contain a huge count.
         counted = {sum(count for _, count in spans), len(loss), len(validation), len(rate)}
         if len(counted) > 1 or any(count < 1 for _, count in spans):
-            raise ValueError(f"curves: stages and losses of {sorted(counted)} epochs")
+            raise ValueError(f"curves: different numbers of epochs: {sorted(counted)}")
         stage = [name for name, count in spans for _ in range(count)]
         return cls(_finite(facts["untrained"]), stage, loss, validation, rate)
 
     def spans(self) -> list[tuple[str, int]]:
-        """Stages in their order, with the number of epochs each took."""
+        """Return the stages in their order, each with its number of epochs."""
         found: list[tuple[str, int]] = []
         for name in self.stage:
             if found and found[-1][0] == name:
@@ -339,12 +352,12 @@ class Curves:
 def _finite(value: Any) -> float:
     number = float(value)
     if not math.isfinite(number):
-        raise ValueError(f"curves: {value!r} is no error or rate")
+        raise ValueError(f"curves: {value!r} is not a finite number")
     return number
 
 
 def sparkline(values: Sequence[float], width: int = 24) -> str:
-    """A curve in one line of text, on a logarithmic scale; the newest value is the last."""
+    """Return a curve as one line of text on a logarithmic scale, with the newest value last."""
     finite = [math.log(value) for value in values if math.isfinite(value) and value > 0]
     if not finite:
         return ""
@@ -362,17 +375,17 @@ def _thinned(values: Sequence[float], width: int) -> list[float]:
 
 
 def keeps_checkpoints(model: Any) -> bool:
-    """Whether a fit of the estimator can be taken up again."""
+    """Return whether an interrupted fit of the estimator can be resumed."""
     return hasattr(model, "checkpoints_")
 
 
 def attach_inside(part: Any, whole: Any, name: str) -> None:
-    """Give a part of an estimator its watch, and a folder in its folder, where the part has them.
+    """Pass the watch and a checkpoint subfolder to an estimator that is fitted inside another one.
 
     Args:
-        part: An estimator that is fitted inside another.
-        whole: The other, with `watch_` and `checkpoints_`.
-        name: Of the folder.
+        part: Inner estimator, which receives a subfolder only if it supports checkpoints.
+        whole: Outer estimator, with the attributes `watch_` and `checkpoints_`.
+        name: Name of the checkpoint subfolder.
     """
     kept: Path | None = whole.checkpoints_
     inside = kept / name if kept is not None and keeps_checkpoints(part) else None
@@ -380,10 +393,10 @@ def attach_inside(part: Any, whole: Any, name: str) -> None:
 
 
 def attach(model: Any, watch: Watch | None = None, checkpoints: Path | None = None) -> None:
-    """Set the `watch_` and `checkpoints_` of an estimator that has them.
+    """Set `watch_` and `checkpoints_` of an estimator that has these attributes.
 
     Raises:
-        SpecError: Checkpoints are asked for, and it trains nothing that could be taken up again.
+        SpecError: Checkpoints are requested, but the estimator does not support them.
     """
     if watch is not None and hasattr(model, "watch_"):
         model.watch_ = watch
@@ -391,22 +404,22 @@ def attach(model: Any, watch: Watch | None = None, checkpoints: Path | None = No
         return
     if not keeps_checkpoints(model):
         raise SpecError(
-            f"{model.estimator} keeps no checkpoints: its fit is one computation",
-            hint="leave --checkpoints out; networks trained by gradient take it, such as "
-            "lagrangian and residual",
+            f"{model.estimator} does not write checkpoints: its fit is not iterative",
+            hint="remove --checkpoints; only networks trained by gradient descent support it, "
+            "such as lagrangian and residual",
         )
     model.checkpoints_ = checkpoints
 
 
 LEARN = {"learn": "to train its network"}
-"""`RobotEstimator.extras` of whatever calls `require_torch` in a fit."""
+"""Return value of `RobotEstimator.extras` for each estimator whose fit calls `require_torch`."""
 
 TO_TRAIN = Needs({"samples": 100}, gains=True)
-"""What no network can be trained without."""
+"""Minimum requirements on the data for training any network."""
 
 
 def require_torch() -> None:
-    """Refuse to train, or to restore a network that only PyTorch computes, without it.
+    """Raise if PyTorch, which training and restoring the network need, is not installed.
 
     Raises:
         PluginError: The extra `learn` is missing.

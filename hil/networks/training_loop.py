@@ -1,9 +1,10 @@
-"""Mini-batch training with early stopping: the one loop that every network goes through.
+"""Mini-batch training with early stopping, used by all networks that are trained by gradient.
 
-`train` runs the stages of a training. All that an epoch changes is in `Progress`, which a
-checkpoint (`hil.networks.checkpoint`) stores whole, so a training that is taken up again ends with
-the same bits as one that was never interrupted. `Steps` takes the optimiser's steps of one stage,
-and `Loss` is the measure that they minimise. The module imports torch: import it inside functions.
+`train` runs the stages of a training. `Progress` contains the complete state that an epoch changes,
+and a checkpoint (`hil.networks.checkpoint`) stores that state. A resumed training therefore ends
+with the same bits as an uninterrupted one. `Steps` runs the optimiser steps of one stage, and
+`Loss` is the error measure that is minimised. This module imports torch, so other modules must
+import this module only inside functions.
 """
 
 from __future__ import annotations
@@ -44,24 +45,28 @@ def train(
     watch: Watch = unwatched,
     checkpoints: Path | None = None,
 ) -> Curves:
-    """Train a network in place, and leave it with the weights that validated best.
+    """Train a network in place and set it to the weights with the lowest validation error.
 
-    The untrained network counts: what does not get better by training stays as it was. A stage
-    goes on from the best weights of the one before it. Equal seeds give equal weights on the CPU;
-    the caller's random numbers are left alone.
+    The search for the lowest validation error includes the untrained network: a network that
+    training does not improve keeps its start weights. A stage continues from the best weights of
+    the previous stage. Equal seeds give equal weights on the CPU. A training does not change the
+    random generators of the caller.
 
     Args:
-        problem: The network with its data, on the device it is to be trained on.
-        stages: In their order.
-        settings: The loss is the problem's matter, all else is used here.
-        watch: Told every epoch; see `KeptIfPossible` for a disk that is full.
-        checkpoints: Folder to keep the training in and to take it up from: one per training.
+        problem: Network with its data, on the device on which it is trained.
+        stages: Stages in their order.
+        settings: Training settings, except the loss, which the problem computes.
+        watch: Function that is called with every epoch. With a `KeptIfPossible` watch, the training
+            continues if the disk is full.
+        checkpoints: Folder in which checkpoints are stored and from which the training is resumed;
+            each training needs a separate folder.
 
     Raises:
-        CheckpointRefused: The folder holds a checkpoint that is damaged or of another training.
-        DataError: No checkpoint can be written there.
-        FitError: Loss or validation error is not finite.
-        SpecError: A stage names a group of parameters that there is not.
+        CheckpointRefused: The folder contains a checkpoint that is damaged or of a different
+            training.
+        DataError: No checkpoint can be written to the folder.
+        FitError: The loss or the validation error is not finite.
+        SpecError: A stage names a parameter group that does not exist.
     """
     device = device_of(problem.module)
     with reproducible(device, settings.threads):
@@ -72,7 +77,7 @@ def train(
 
 
 WHERE_IT_RUNS = ("device", "threads")
-"""Settings that a checkpoint may be taken up with on another machine."""
+"""Names of settings that may differ when a checkpoint is resumed on a different machine."""
 
 
 class _Training:
@@ -93,7 +98,7 @@ class _Training:
         self.checkpoints: Checkpoints | None = None
 
     def keep_in(self, folder: Path) -> None:
-        """Write checkpoints into a folder, and go on from the one that is there."""
+        """Write checkpoints into a folder; first resume from its checkpoint if there is one."""
         weights = self.problem.module.state_dict()
         identity = {
             "settings": self.settings.model_dump(exclude=set(WHERE_IT_RUNS)),
@@ -101,9 +106,9 @@ class _Training:
             "samples": self.problem.samples,
             "weights": {name: list(value.shape) for name, value in weights.items()},
         }
-        # The data themselves are not kept: errors before the first step tell other data apart.
+        # A checkpoint contains no data; errors before the first step reveal different data.
         start = {"validation error": self.at.curves.untrained, "loss": self._first_loss()}
-        # With checkpoints or without, the network draws the same.
+        # Seed again, so that the random numbers are the same with and without checkpoints.
         torch.manual_seed(self.settings.seed)
         self.checkpoints = Checkpoints(folder, identity, start)
         if found := self.checkpoints.read():
@@ -111,14 +116,14 @@ class _Training:
                 self.at.restore(found, len(self.stages))
 
     def _first_loss(self) -> float:
-        """Loss over the first mini-batch in the order of the data, before any step."""
+        """Return the loss over the first mini-batch, in the order of the data, before any step."""
         self.problem.module.eval()
         first = min(self.problem.samples, self.settings.batch_size)
         with torch.no_grad():
             return float(self.problem.loss(torch.arange(first, device=self.device)))
 
     def run(self) -> Curves:
-        """All stages from where the training stands."""
+        """Run all remaining stages of the training."""
         groups = self.problem.groups().values()
         movable = {one: one.requires_grad for parameters in groups for one in parameters}
         try:
@@ -152,7 +157,7 @@ class _Training:
         self.at.moments = {}
 
     def _run_epoch(self, steps: Steps, first: int) -> float:
-        """Mean loss over all samples, each taken once in random order."""
+        """Run one epoch; return the mean loss over all samples, each of which is used one time."""
         self.problem.module.train()
         order = torch.randperm(self.problem.samples, generator=self.at.order).to(self.device)
         total = torch.zeros((), dtype=torch.float64, device=self.device)
@@ -164,7 +169,7 @@ class _Training:
         return float(total) / self.problem.samples
 
     def _judge(self, stage: Stage, loss: float, rate: float) -> None:
-        """Validate, remember the weights if they are better, and tell whoever watches."""
+        """Validate, store the weights if their error is lower, and report the epoch to `watch`."""
         at, done = self.at, len(self.at.curves) + 1
         where = f"in epoch {done} ({stage.name})"
         if not math.isfinite(loss):
@@ -203,12 +208,12 @@ class _Training:
         return found
 
     def _waited(self) -> int:
-        """Epochs of the stage since its best."""
+        """Return the number of epochs since the best epoch of the stage."""
         found = self.at.curves.last(self.at.epoch)
         return len(found) - 1 - found.index(min(found)) if found else 0
 
     def _left(self) -> int:
-        """Epochs there may still be."""
+        """Return the maximum number of remaining epochs of the stage."""
         later = sum(stage.epochs for stage in self.stages[self.at.stage + 1 :])
         return self.stages[self.at.stage].epochs - self.at.epoch + later
 
@@ -216,24 +221,25 @@ class _Training:
 def _diverged(what: str, value: float, where: str) -> FitError:
     return FitError(
         f"training diverged: the {what} is {value} {where}",
-        hint="lower learning_rate (say to a third) or clip_norm, raise warm_up_steps, or take "
-        "precision: float64; and look for values in the data that cannot be",
+        hint="lower learning_rate (say to a third) or clip_norm, raise warm_up_steps, or set "
+        "precision: float64; check the data for impossible values",
     )
 
 
 @dataclass(slots=True)
 class Progress:
-    """A training between two epochs.
+    """State of a training between two epochs.
 
     Attributes:
-        module: With its weights.
-        curves: Of the epochs so far.
-        order: Draws the order of mini-batches.
-        best: Weights that validated best, the untrained ones included.
-        stage_best: The best of the running stage.
+        module: Network with its current weights.
+        curves: Learning curves of the completed epochs.
+        order: Random generator for the order of mini-batches.
+        best: Weights with the lowest validation error; the untrained weights are included in the
+            search.
+        stage_best: Best weights of the running stage.
         stage: Number of the running stage, from 0.
-        epoch: Epochs it has had.
-        moments: Adam's, see `Steps.state`.
+        epoch: Number of completed epochs of the running stage.
+        moments: Moments of Adam in the form that `Steps.state` returns.
     """
 
     module: torch.nn.Module
@@ -246,7 +252,7 @@ class Progress:
     moments: State = field(default_factory=dict)
 
     def snapshot(self) -> Snapshot:
-        """Copies of everything, torch's random numbers included."""
+        """Return copies of the complete training state, including the random state of torch."""
         random = {"order": self.order.get_state(), "cpu": torch.get_rng_state()}
         device = device_of(self.module)
         if device.type == "cuda":
@@ -262,10 +268,15 @@ class Progress:
         return Snapshot(tensors, facts)
 
     def restore(self, found: Snapshot, stages: int) -> None:
-        """Go on from a snapshot of a training of so many stages.
+        """Restore the training state from a snapshot.
+
+        Args:
+            found: Snapshot of the training.
+            stages: Number of stages of the training.
 
         Raises:
-            KeyError, TypeError, ValueError, OverflowError, RuntimeError: It does not fit.
+            KeyError, TypeError, ValueError, OverflowError, RuntimeError: The snapshot does not
+                match the network or the stages.
         """
         self.curves = Curves.from_dict(found.facts["curves"])
         self.stage, self.epoch = _where(found.facts, stages, len(self.curves))
@@ -274,7 +285,7 @@ class Progress:
             {name: value.to(device) for name, value in found.tensors[group].items()}
             for group in ("best", "stage_best")
         )
-        for group in ("best", "stage_best", "weights"):  # all of them have to fit
+        for group in ("best", "stage_best", "weights"):  # checks that all of them match
             self.module.load_state_dict(found.tensors[group])
         self.moments = found.tensors.get("adam", {})
         for group in ("best", "stage_best", "weights", "adam"):
@@ -289,9 +300,9 @@ class Progress:
 
 
 def _where(facts: Mapping[str, Any], stages: int, epochs: int) -> tuple[int, int]:
-    """Number of the running stage, and the epochs it has had."""
+    """Return the number of the running stage and the number of its completed epochs."""
     stage, epoch = facts["stage"], facts["epoch"]
-    if not all(type(count) is int for count in (stage, epoch)):  # bool is a kind of int
+    if not all(type(count) is int for count in (stage, epoch)):  # bool is a subclass of int
         raise ValueError(f"stage {stage!r:.60}, epoch {epoch!r:.60}")
     if not (0 <= stage <= stages and 0 <= epoch <= epochs):
         raise ValueError(f"stage {stage} of {stages}, epoch {epoch} of {epochs}")
@@ -301,11 +312,11 @@ def _where(facts: Mapping[str, Any], stages: int, epochs: int) -> tuple[int, int
 def _require_finite(group: str, tensors: State) -> None:
     for name, value in tensors.items():
         if not torch.all(torch.isfinite(value)):
-            raise ValueError(f"{group}/{name} holds values that are not finite")
+            raise ValueError(f"{group}/{name} contains values that are not finite")
 
 
 def copied(module: torch.nn.Module) -> State:
-    """A network's weights, which stay as they are while it goes on."""
+    """Return a copy of the weights of a network, which further training does not change."""
     return {name: value.detach().clone() for name, value in module.state_dict().items()}
 
 
@@ -313,16 +324,16 @@ Groups = Mapping[str, Sequence[torch.nn.Parameter]]
 
 
 class Steps:
-    """Takes the steps of one stage.
+    """Optimiser steps of one stage.
 
     Args:
-        groups: All parameters by group; those the stage does not train are frozen.
-        stage: Which groups move, and how fast.
-        settings: Rates, schedule, clipping.
-        per_epoch: Steps of an epoch.
+        groups: All parameters by group; groups that the stage does not train are frozen.
+        stage: Stage, which determines the trained groups and the learning-rate factor.
+        settings: Training settings, of which rates, schedule and clipping are used.
+        per_epoch: Number of optimiser steps per epoch.
 
     Raises:
-        SpecError: The stage or a rate names a group that the network does not have.
+        SpecError: The stage or a learning rate names a parameter group that does not exist.
     """
 
     def __init__(
@@ -338,11 +349,11 @@ class Steps:
         self._total = max(1, stage.epochs * per_epoch)
         self._rate = settings.learning_rate * stage.learning_rate_factor
         self._parameters = [one for parameters in trained.values() for one in parameters]
-        # Fused: one call for all parameters. Networks of this size spend their time in Python.
+        # Fused: one call for all parameters, because small networks spend most time in Python.
         self.adam = torch.optim.AdamW(_parts(trained, settings), lr=self._rate, fused=True)
 
     def take(self, loss: torch.Tensor, number: int) -> None:
-        """Step `number` of the stage, from 0, down the gradient of a loss."""
+        """Take step `number` of the stage, from 0, along the negative gradient of a loss."""
         self.adam.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         if self._settings.clip_norm is not None:
@@ -353,7 +364,7 @@ class Steps:
         self.adam.step()
 
     def rate(self, number: int) -> float:
-        """Learning rate at a step of the stage."""
+        """Return the learning rate at a step of the stage."""
         done = min(1.0, number / self._total)
         warm = self._settings.warm_up_steps
         rate = self._rate * (min(1.0, (number + 1) / warm) if warm else 1.0)
@@ -363,15 +374,15 @@ class Steps:
         return rate * (least + (1.0 - least) * 0.5 * (1.0 + math.cos(math.pi * done)))
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Adam's moments as `<number of the parameter>/<name>`."""
+        """Return the moments of Adam, named `<number of the parameter>/<name>`."""
         state: dict[int, dict[str, torch.Tensor]] = self.adam.state_dict()["state"]
         return {f"{k}/{name}": value for k, one in state.items() for name, value in one.items()}
 
     def restore(self, state: Mapping[str, torch.Tensor]) -> None:
-        """Inverse of `state`.
+        """Restore the moments of Adam from the result of `state`.
 
         Raises:
-            ValueError: The moments are not those of these parameters.
+            ValueError: The moments do not match the parameters.
         """
         found: dict[int, dict[str, torch.Tensor]] = {}
         for key, value in state.items():
@@ -384,7 +395,7 @@ class Steps:
 
 
 def _parts(groups: Groups, settings: TrainingSettings) -> list[dict[str, Any]]:
-    """Parameter groups of Adam: matrices decay, coefficients and biases do not."""
+    """Return the parameter groups of Adam, with weight decay for matrices only."""
     parts = []
     for name, parameters in groups.items():
         rate = settings.group_rates.get(name, 1.0)
@@ -400,7 +411,9 @@ def _require_moments(
     found: Mapping[int, Mapping[str, torch.Tensor]], parameters: Sequence[torch.nn.Parameter]
 ) -> None:
     if not found.keys() <= set(range(len(parameters))):
-        raise ValueError(f"moments of {len(found)} parameters where there are {len(parameters)}")
+        raise ValueError(
+            f"moments of {len(found)} parameters, but the network has {len(parameters)}"
+        )
     for number, moments in found.items():
         own = tuple(parameters[number].shape)
         shapes = {name: tuple(value.shape) for name, value in moments.items()}
@@ -412,26 +425,27 @@ def _require_moments(
 KINDS: tuple[str, ...] = get_args(LossKind)
 
 FLOOR = 0.1
-"""Standard deviations of a joint's torque added to the denominator of `smape-floored`."""
+"""Share of a joint's torque deviation that `smape-floored` adds to the denominator."""
 
 BETA = 0.05
-"""Error over standard deviation at which `huber` turns from square to straight."""
+"""Relative error, in standard deviations, at which `huber` changes from square to linear."""
 
 
 class Loss:
-    """Mean over joints and samples of one of five measures of an error.
+    """Loss: mean of an error measure over joints and samples.
 
-    `smape` is eq. (20) of the PINN paper, 2|e|/(|τ| + |τ̂|), which is 2, with a gradient of 0,
-    wherever the two have opposite signs, and steep near τ = 0; 0/0 counts 0. `smape-floored` adds
-    a tenth of the joint's standard deviation below. `huber`, `mae` and `mse` are of e over the
-    standard deviation.
+    The error measure `smape` is eq. (20) of the PINN paper, 2|e|/(|τ| + |τ̂|), with 0/0 = 0. If τ
+    and τ̂ have opposite signs, `smape` equals 2 with a gradient of 0; near τ = 0 `smape` is steep.
+    The error measure `smape-floored` adds a tenth of the joint's standard deviation to the
+    denominator of `smape`. The error measures `huber`, `mae` and `mse` use the error e divided by
+    the standard deviation.
 
     Args:
-        kind: One of `KINDS`.
-        scale: (n,) standard deviation of every output over the rows that are learned from.
+        kind: Error measure, one of `KINDS`.
+        scale: (n,) standard deviation of every output over the training rows.
 
     Raises:
-        SpecError: There is no such kind.
+        SpecError: The error measure is unknown.
     """
 
     def __init__(self, kind: LossKind, scale: FloatArray | torch.Tensor) -> None:
@@ -439,11 +453,11 @@ class Loss:
         self._scale = torch.as_tensor(np.asarray(scale), dtype=torch.float64)
 
     def __call__(self, predicted: torch.Tensor, measured: torch.Tensor) -> torch.Tensor:
-        """Scalar mean of (…, n) against (…, n)."""
+        """Return the scalar mean loss of predicted against measured values (…, n)."""
         return self.elements(predicted, measured).mean()
 
     def elements(self, predicted: torch.Tensor, measured: torch.Tensor) -> torch.Tensor:
-        """(…, n) the same before the mean, for whoever masks or weighs."""
+        """Return the loss (…, n) of each element, for callers that mask or weight the elements."""
         if self._scale.device != predicted.device or self._scale.dtype != predicted.dtype:
             self._scale = self._scale.to(predicted)
         if self.kind in ("smape", "smape-floored"):
@@ -462,15 +476,15 @@ def _smape(
     total = predicted.abs() + measured.abs()
     if floor is not None:
         return twice / (total + floor)
-    # Where both are 0 the numerator is 0 already; a divisor of 1 keeps the gradient finite.
+    # If both are 0, the numerator is 0; a divisor of 1 keeps the gradient finite.
     return twice / torch.where(total > 0, total, torch.ones_like(total))
 
 
 def torch_device(name: str) -> torch.device:
-    """The device that `auto`, `cpu`, `cuda` or `cuda:1` stands for here.
+    """Return the torch device for `auto`, `cpu`, `cuda` or `cuda:1`.
 
     Raises:
-        SpecError: torch has no such device on this machine.
+        SpecError: torch does not have the requested device on this machine.
     """
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
@@ -481,24 +495,24 @@ def torch_device(name: str) -> torch.device:
         reason = str(error).partition("\n")[0]
         raise SpecError(
             f"torch cannot use the device {name!r}: {reason}",
-            hint="use device: auto, which takes a GPU only where there is one, or cpu",
+            hint="use device: auto, which uses a GPU only if one is available, or device: cpu",
         ) from error
     return device
 
 
 def torch_dtype(precision: Precision) -> torch.dtype:
-    """`float32` or `float64` as torch names it."""
+    """Return the torch type for `float32` or `float64`."""
     return torch.float64 if precision == "float64" else torch.float32
 
 
 def device_of(module: torch.nn.Module) -> torch.device:
-    """Where a network's parameters are."""
+    """Return the device of a network's parameters."""
     return next(iter(module.parameters())).device
 
 
 @contextmanager
 def reproducible(device: torch.device, threads: int) -> Iterator[None]:
-    """Random numbers and threads of torch that are the caller's again afterwards."""
+    """Set the number of torch threads, and restore it and the random state on exit."""
     before = torch.get_num_threads()
     devices = [device] if device.type == "cuda" else []
     torch.set_num_threads(threads)

@@ -1,6 +1,6 @@
-"""From spec, station and excitation to an immutable plan.
+"""Planning: compute an immutable plan from spec, station and excitation.
 
-`hil.plan(experiment)` makes one; `hil.planning.plan` holds the data.
+The function `hil.plan(experiment)` computes a plan, whose data are defined in `hil.planning.plan`.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""From a spec and a station's robot to a plan in which every sample of every motion is checked."""
+"""Construction of a plan from a spec and a robot of a station, with checks of every sample."""
 
 from __future__ import annotations
 
@@ -53,27 +53,30 @@ def build_plan(
     watch: Watch = unwatched,
     part: Commissioning | None = None,
 ) -> Plan:
-    """The plan for an experiment; the same arguments give the same plan.
+    """Return the plan of an experiment; the same arguments always give the same plan.
 
     Args:
-        spec: What is wanted.
-        station_robot: The arm and what stands around it.
-        start_q: (n,) where the robot stands now [rad]; by default the roomiest pose of its range.
-        rate_hz: The robot's own rate; by default that of the arm's description.
-        watch: Is told how far trajectories are that take long to compute.
-        part: For a commissioning run: what of the program, and how fast; None for all of it.
+        spec: Spec of the experiment.
+        station_robot: Station entry of the robot, including its surroundings.
+        start_q: (n,) present joint positions [rad]; by default the pose of the joint range with the
+            most free space.
+        rate_hz: Rate of the robot's set-points and states [Hz]; by default the rate in the
+            description of the arm.
+        watch: Callback that receives the progress of long computations of trajectories.
+        part: Part of the program to execute and its speed, for a commissioning run; None for the
+            whole program.
 
     Raises:
-        SpecError: The spec asks for more than the arm can do, or its waypoint file has mistakes;
-            everything that is wrong is listed.
-        PlanError: No clear motion does what the spec asks for, or nothing of it would be measured.
-        PluginError: The excitation is missing or does not load.
+        SpecError: The spec exceeds the limits of the arm, or its waypoint file has errors; the
+            message lists all problems.
+        PlanError: No collision-free motion satisfies the spec, or the plan would measure nothing.
+        PluginError: The excitation is missing or cannot be loaded.
     """
     arm = plannable_arm(station_robot)
     rate = rate_hz or arm.rate_hz
     if problems := excesses(spec, arm, rate, station_robot.surroundings.clearance_m):
         raise SpecError(
-            "\n".join(map(str, problems)), hint="change these values, or take another robot"
+            "\n".join(map(str, problems)), hint="change these values, or use a different robot"
         )
     workspace = workspace_of(spec, station_robot, arm, rate)
     here = None if start_q is None else np.asarray(start_q)
@@ -81,7 +84,7 @@ def build_plan(
     roadmap = roadmap_of(workspace, wanted=wanted, start=here)
     start = roadmap.home if here is None else checked_start(here, roadmap)
     setting = setting_of(spec, station_robot, arm, workspace, watch=watch)
-    # What takes long comes last: a program may take minutes to be optimised.
+    # The program is computed last, because its optimisation may take minutes.
     whole, dwells = part is None or not part.shortened, isinstance(spec.excitation, Dwell)
     gravity = station_robot.gravity_m_s2
     weighing = weigh_visits(spec, arm, gravity, roadmap) if whole else ()
@@ -106,11 +109,12 @@ def build_plan(
 
 
 def _default_reference(spec: ExperimentSpec, roadmap: Roadmap) -> Visit | None:
-    """Return the reference visit of a program of trajectories, or None without one.
+    """Return the reference visit of a program of trajectories; None if it has no reference visits.
 
-    By default it is at the home pose. The home pose keeps its distance, but the joint positions a
-    few degrees around it, from which it is approached, may not: then the roomiest pose of the
-    roadmap is taken that is approached with all the distance required.
+    By default the reference pose is the home pose. The home pose satisfies the required clearance,
+    but joint positions a few degrees from the home pose, from which the arm approaches it, possibly
+    violate the clearance. If the approach to the home pose violates the clearance, the reference
+    pose is the roadmap pose with the most free space whose approach satisfies the clearance.
     """
     if spec.reference.q_deg is not None:
         return _reference(spec, roadmap, roadmap.home)
@@ -125,7 +129,10 @@ def _default_reference(spec: ExperimentSpec, roadmap: Roadmap) -> Visit | None:
 
 
 def _reference(spec: ExperimentSpec, roadmap: Roadmap, q: FloatArray) -> Visit | None:
-    """Return the reference visit: at the pose of the spec, else at `q` (n,), or None for none."""
+    """Return the reference visit at the pose of the spec, by default at the pose `q` (n,).
+
+    The return value is None if the spec has no reference visits.
+    """
     if spec.reference.every == 0:
         return None
     dwell = spec.excitation if isinstance(spec.excitation, Dwell) else None
@@ -141,19 +148,19 @@ def _reference(spec: ExperimentSpec, roadmap: Roadmap, q: FloatArray) -> Visit |
             if given is None:
                 raise PlanError(
                     f"the default reference pose: {complaint}",
-                    hint=f"{workspace.larger_space}write a pose with more room around it as "
-                    "reference.q_deg, do without one (reference.every: 0), or reduce clearance_m "
-                    "in the station's surroundings",
+                    hint=f"{workspace.larger_space}set reference.q_deg to a pose with more free "
+                    "space, disable the reference visits (reference.every: 0), or reduce "
+                    "clearance_m in the station's surroundings",
                 )
             raise SpecError(
                 f"reference.q_deg: {complaint}",
-                hint=f"{workspace.larger_space}choose a pose with more room around it",
+                hint=f"{workspace.larger_space}choose a pose with more free space",
             )
     if roadmap.way(roadmap.home, visit.entry) is None:
         why = workspace.obstacle([workspace.line(roadmap.home, visit.entry)])
         raise PlanError(
-            f"no clear path leads to the reference pose; on the straight path: {why}",
-            hint=f"{workspace.larger_space}choose another reference.q_deg",
+            f"no collision-free path leads to the reference pose; on the straight path: {why}",
+            hint=f"{workspace.larger_space}choose a different reference.q_deg",
         )
     return visit
 
@@ -165,7 +172,7 @@ def _steps(
     start: FloatArray,
     warm_up_s: float,
 ) -> Iterator[Step]:
-    """The sequence as numbered steps."""
+    """Yield the numbered steps for a sequence of loads and actions."""
     sequence = _sequence(spec, arrangement, program, start, warm_up_s)
     for index, (load, action) in enumerate(sequence):
         if action is None:
@@ -183,9 +190,10 @@ def _sequence(
     here: FloatArray,
     warm_up_s: float,
 ) -> Iterator[tuple[int, Action | None]]:
-    """Load and action, the whole program once per load; None stands for changing the load.
+    """Yield load index and action of the whole program, in order, for every load.
 
-    Loads are changed in the home pose and weighed from there; the arm is warmed up once.
+    The action None represents a change of the payload. Payloads are changed and checked in the home
+    pose. The arm is warmed up a single time, before the first measurement.
     """
     home = arrangement.roadmap.home
     for load in range(len(spec.loads)):
@@ -223,7 +231,7 @@ def _complete(
     arm: ArmDescription,
     workspace: Workspace,
 ) -> Plan:
-    """The plan with its margins; refuses a negative one."""
+    """Return the plan with its margins; raise if a margin is negative."""
     measured = [step.motion for step in plan if step.measures and step.motion]
     weighed = any(step.kind == "weigh" for step in plan)
     margins = margins_of(plan.steps, plan.loads, arm, station_robot.gravity_m_s2, workspace)
@@ -241,16 +249,16 @@ def _complete(
 
 
 def program_of(spec: ExperimentSpec, roadmap: Roadmap, setting: Setting) -> Program:
-    """What a spec wants to be measured.
+    """Return the measurements that a spec requires, as planned by its excitation.
 
     Args:
-        spec: Says which excitation.
-        roadmap: How to get about with every load of the spec.
-        setting: The robot, for an excitation that computes with its dynamics.
+        spec: Spec, which names the excitation of the experiment.
+        roadmap: Roadmap for the arm with every load of the spec.
+        setting: Dynamics of the robot, for an excitation that needs them.
 
     Raises:
-        SpecError, PlanError: What the spec asks for cannot be.
-        PluginError: The excitation is missing or does not load.
+        SpecError, PlanError: The requirements of the spec cannot be satisfied.
+        PluginError: The excitation is missing or cannot be loaded.
     """
     kind = plugins.load("hil.excitations", spec.excitation.kind)
     excitation: Excitation = kind(spec.excitation, Path())  # paths in a spec are absolute
@@ -268,17 +276,17 @@ def setting_of(
     watch: Watch = unwatched,
     cache: ExcitationCache | None = None,
 ) -> Setting:
-    """The robot of a spec at its station, as far as its dynamics go.
+    """Return the robot of a spec at its station, with the data that its dynamics need.
 
     Args:
-        spec: Says which loads.
-        station_robot: How the arm is mounted and what stands around it.
-        arm: Its description.
-        workspace: Where it may be, with every load of the spec.
-        watch: Is told how far trajectories are that take long to compute.
-        cache: Where those are kept; by default this user's.
+        spec: Spec, which lists the loads of the experiment.
+        station_robot: Station entry with mounting orientation and surroundings.
+        arm: Description of the arm.
+        workspace: Workspace of the arm with every load of the spec.
+        watch: Callback that receives the progress of long computations of trajectories.
+        cache: Cache of computed trajectories; by default the cache of this user.
     """
-    collision: Any = workspace.collision  # a CollisionModel, which can do more than is asked of it
+    collision: Any = workspace.collision  # a CollisionModel, of which only a part is used
     return Setting(
         robot=RobotModel.from_arm(arm.name, gravity=station_robot.gravity_m_s2),
         effort_max=arm.effort_max,
@@ -296,7 +304,7 @@ def setting_of(
 
 
 def _confined(spec: ExperimentSpec) -> dict[str, Any]:
-    """Return what confines the flange, and nothing if it may go anywhere."""
+    """Return the interlocks that restrict the position of the flange; empty if there are none."""
     confining = [
         interlock.model_dump(mode="json")
         for interlock in spec.interlocks
@@ -306,10 +314,10 @@ def _confined(spec: ExperimentSpec) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A field of an arm's description as JSON."""
+    """Return the value of a field of an arm description in JSON form."""
     return value.tolist() if isinstance(value, np.ndarray) else repr(value)
 
 
 def _names(arm: ArmDescription) -> list[str]:
-    """Of what an arm's motions depend on: all but where its numbers come from."""
+    """Return the names of the arm fields that affect motions: all except `sources`."""
     return [field.name for field in fields(arm) if field.name != "sources"]

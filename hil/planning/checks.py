@@ -1,8 +1,9 @@
-"""What a spec asks of an arm against what the arm can do, before a plan and for the plan itself.
+"""Checks of a spec and of a plan against the limits of an arm.
 
-`excesses` finds what the spec alone rules out. A plan is refused where a set-point is beyond a
-limit (`margins_of`) or where its own motion would trip one of its interlocks
-(`interlock_margins`); else the margins say how far it stays away from each.
+`excesses` reports the values of a spec that the arm cannot execute, before a plan exists. A plan is
+refused if a set-point is beyond a limit (`margins_of`), or if its motion would trip an interlock of
+the spec (`interlock_margins`). The margins of an accepted plan are its smallest distances to the
+limits.
 """
 
 from __future__ import annotations
@@ -35,23 +36,26 @@ from hil.spec import (
 )
 
 BodySize = tuple[float, float]
-"""Length and radius along the flange axis [m]."""
+"""Length and radius of a body along the flange axis [m]."""
 
 SOME_POSES = 16384
-"""Number of random poses tried; at least one must lie inside the workspace, because planning
-needs several among that many."""
+"""Number of random poses that the workspace check tries.
+
+At least one of these random poses must lie inside the workspace, because planning needs several
+valid poses among the same number of random poses.
+"""
 
 
 def excesses(
     spec: ExperimentSpec, arm: ArmDescription, robot_hz: float, clearance_m: float
 ) -> list[Excess]:
-    """One for every value of `spec` that the robot cannot do.
+    """Return one entry for every value of a spec that the robot cannot execute.
 
     Args:
-        spec: What is asked.
-        arm: The limits.
-        robot_hz: Rate at which the robot takes set-points and reports its state.
-        clearance_m: Distance that the station keeps to everything.
+        spec: Spec of the experiment.
+        arm: Description of the arm with its limits.
+        robot_hz: Rate at which the robot accepts set-points and reports its state [Hz].
+        clearance_m: Minimum distance to all obstacles [m], a value of the station.
     """
     ranges = [*_beyond_range(spec.excitation, arm), *_reference(spec, arm)]
     return [
@@ -62,8 +66,8 @@ def excesses(
         *(
             Excess(
                 ("loads", i, "mass_kg"),
-                f"{load.mass_kg:g} kg is beyond the {arm.payload_max_kg:g} kg the {arm.name} "
-                "is rated for",
+                f"{load.mass_kg:g} kg exceeds the rated payload of the {arm.name}, "
+                f"{arm.payload_max_kg:g} kg",
             )
             for i, load in enumerate(spec.loads)
             if load.mass_kg > arm.payload_max_kg
@@ -91,7 +95,8 @@ def _outside(
     for angle in angles:
         if not low - TOLERANCE <= angle <= high + TOLERANCE:
             yield Excess(
-                path, f"{angle:g}° is beyond the {low:g}° to {high:g}° of {arm.joint_names[i]}"
+                path,
+                f"{angle:g}° is outside the range of {arm.joint_names[i]}, {low:g}° to {high:g}°",
             )
 
 
@@ -115,7 +120,7 @@ def _other_rate(spec: ExperimentSpec, robot_hz: float) -> Iterator[Excess]:
         yield Excess(
             ("record", "rate_hz"),
             f"{asked:g} Hz, but the robot runs at {robot_hz:g} Hz: "
-            "leave it out, or set the rate in the station's options",
+            "omit this key, or set the rate in the station's options",
         )
 
 
@@ -129,12 +134,13 @@ def _too_fast(excitation: Dwell | Fourier, arm: ArmDescription) -> Iterator[Exce
         if asked > most * (1 + TOLERANCE):
             yield Excess(
                 ("excitation", key),
-                f"{asked:g} {unit} is beyond the {most:g} {unit} of {arm.joint_names[weakest]}",
+                f"{asked:g} {unit} exceeds the limit of {arm.joint_names[weakest]}, "
+                f"{most:g} {unit}",
             )
 
 
 def _confined(spec: ExperimentSpec, arm: ArmDescription, clearance_m: float) -> Iterator[Excess]:
-    """Yield what the workspace interlocks leave no room for, as far as it shows without a plan."""
+    """Yield the values of a spec that conflict with its workspace interlocks, before planning."""
     space = declared_space(spec.interlocks, arm, [load.size_m for load in spec.loads])
     if space is None:
         return
@@ -150,7 +156,7 @@ def _confined(spec: ExperimentSpec, arm: ArmDescription, clearance_m: float) -> 
 
 
 def _too_narrow(interlocks: Sequence[Interlock], clearance_m: float) -> Iterator[Excess]:
-    """Yield each axis on which no room is left between the sides of all boxes together."""
+    """Yield an entry for each axis on which the workspace boxes together leave no free space."""
     boxes = [
         (number, entry)
         for number, entry in enumerate(interlocks)
@@ -165,15 +171,15 @@ def _too_narrow(interlocks: Sequence[Interlock], clearance_m: float) -> Iterator
         if high - low <= 2 * clearance_m:
             yield Excess(
                 ("interlocks", number, "max_m", i),
-                f"leaves {1e3 * (high - low):.0f} mm on {axis} from min_m; the station's "
-                f"clearance_m takes {1e3 * clearance_m:.0f} mm off either side",
+                f"leaves {1e3 * (high - low):.0f} mm to min_m on {axis}, but the station's "
+                f"clearance_m requires {1e3 * clearance_m:.0f} mm on each side",
             )
 
 
 def _unreached(
     excitation: Dwell | Fourier, arm: ArmDescription, space: Distances, clearance_m: float
 ) -> Iterator[Excess]:
-    """Yield that drawn poses do not come inside a space, if none of many does."""
+    """Yield an entry if none of many random poses lies inside the workspace."""
     low, high = draw_range(excitation, arm)
     some = low + np.random.default_rng(0).uniform(size=(SOME_POSES, arm.n_joints)) * (high - low)
     nearest = some[int(space.distances(some).min(axis=0).argmax())]
@@ -186,7 +192,7 @@ def _unreached(
 
 
 def draw_range(excitation: Dwell | Fourier, arm: ArmDescription) -> tuple[FloatArray, FloatArray]:
-    """(n,) least and (n,) most joint position that excitation draws [rad]."""
+    """Return the minimum and maximum joint positions (n,) from which an excitation draws [rad]."""
     if excitation.range_deg is None:
         return arm.excite_min, arm.excite_max
     low, high = np.radians(np.array(excitation.range_deg)).T
@@ -194,7 +200,7 @@ def draw_range(excitation: Dwell | Fourier, arm: ArmDescription) -> tuple[FloatA
 
 
 TOLERANCE = 1e-9
-"""Set-points computed to bind at a limit may exceed it by rounding."""
+"""Amount by which a set-point may exceed a limit because of rounding."""
 
 MOST_PROBLEMS = 20
 
@@ -206,7 +212,7 @@ def margins_of(
     gravity: tuple[float, float, float],
     workspace: Workspace,
 ) -> dict[str, float]:
-    """The smallest margin of any joint at any set-point, all ≥ 0.
+    """Return the smallest margin to each limit over all joints and set-points, all ≥ 0.
 
     ======================== ==========================================================
     position_rad             to the robot's position limits
@@ -220,7 +226,7 @@ def margins_of(
     ======================== ==========================================================
 
     Raises:
-        PlanError: A set-point is beyond a limit; the steps concerned are listed.
+        PlanError: A set-point exceeds a limit; the message lists the affected steps.
     """
     motions = [step.motion for step in steps if step.motion is not None]
     distances = workspace.clearances(motions)
@@ -239,7 +245,7 @@ def _require_clear(
 ) -> None:
     moving = [step for step in steps if step.motion is not None]
     close = [
-        f"step {step.index} ({step.kind}) comes within {1e3 * distance:.1f} mm of something, "
+        f"step {step.index} ({step.kind}) comes within {1e3 * distance:.1f} mm of an obstacle, "
         f"{1e3 * clearance_m:.1f} mm are required"
         for step, clear, distance in zip(moving, kept, distances, strict=True)
         if not clear
@@ -248,7 +254,7 @@ def _require_clear(
         more = [f"… and {len(close) - MOST_PROBLEMS} more"] if len(close) > MOST_PROBLEMS else []
         raise PlanError(
             "\n".join(close[:MOST_PROBLEMS] + more),
-            hint="see whether the station's surroundings are as described",
+            hint="check that the station's surroundings are described correctly",
         )
 
 
@@ -270,23 +276,24 @@ def _require_positive(margins: dict[str, float]) -> None:
     negative = [f"{name}: {value:.4g}" for name, value in margins.items() if value < -TOLERANCE]
     if negative:
         raise PlanError(
-            "the motion is beyond its limits; margins below zero are\n" + "\n".join(negative),
+            "the motion exceeds its limits; negative margins:\n" + "\n".join(negative),
             hint="lower excitation.max_velocity_deg_s and excitation.max_acceleration_deg_s2, "
-            "or take a lighter load",
+            "or use a lighter load",
         )
 
 
 def flange_space(
     arm: ArmDescription, space: WorkspaceInterlock, sizes: Sequence[BodySize | None]
 ) -> FlangeSpace:
-    """Distances of the flange, and of the tip of the longest load, to the faces of a workspace.
+    """Return the distances of the flange and of the longest load's tip to the faces of a workspace.
 
-    One tip stands for all loads, as one body does in collisions. A load of unknown size has none.
+    A single tip represents all loads, as a single body represents all loads in the collision check.
+    For a load of unknown size, only the position of the flange is checked.
 
     Args:
-        arm: The arm.
-        space: Box and planes.
-        sizes: Of each load's body, None where it is not known.
+        arm: Description of the arm.
+        space: Box and planes of the workspace.
+        sizes: Length and radius of each load's body [m]; None for a load of unknown size.
     """
     return FlangeSpace(arm, _faces(space), _tip_m(sizes))
 
@@ -303,21 +310,22 @@ def _faces(space: WorkspaceInterlock) -> list[Plane]:
 
 
 def _tip_m(sizes: Sequence[BodySize | None]) -> float:
-    """Return how far the longest load reaches beyond the flange."""
+    """Return the distance by which the longest load extends beyond the flange [m]."""
     return max((size[0] for size in sizes if size is not None), default=0.0)
 
 
 def declared_space(
     interlocks: Sequence[Interlock], arm: ArmDescription, sizes: Sequence[BodySize | None]
 ) -> FlangeSpace | None:
-    """Return the space that all workspace interlocks of a spec leave to the flange, if any does.
+    """Return the space that all workspace interlocks of a spec leave to the flange.
 
-    Its faces are named by their interlocks: `x of max_m (interlocks.1)`.
+    The return value is None if the spec has no workspace interlock. Each face of the space has a
+    name that contains its interlock: `x of max_m (interlocks.1)`.
 
     Args:
-        interlocks: Of the spec.
-        arm: The arm.
-        sizes: Of each load's body, None where it is not known.
+        interlocks: Interlocks of the spec.
+        arm: Description of the arm.
+        sizes: Length and radius of each load's body [m]; None for a load of unknown size.
     """
     faces = [
         replace(face, name=f"{face.name} (interlocks.{number})")
@@ -336,18 +344,22 @@ def interlock_margins(
     rate_hz: float,
     clearance_m: float,
 ) -> dict[str, float]:
-    """`workspace_m`: smallest distance of the flange to a face of its workspace, if it has one.
+    """Return the smallest distances of a plan to the limits of its interlocks.
+
+    The key `workspace_m` contains the smallest distance of the flange to a face of the workspace
+    [m]. The returned mapping is empty if the spec has no workspace interlock.
 
     Args:
-        interlocks: Of the spec.
-        arm: The arm.
-        sizes: Of each load's body.
-        steps: Of the plan.
-        rate_hz: At which motions are sampled.
-        clearance_m: Smallest distance of the plan to anything.
+        interlocks: Interlocks of the spec.
+        arm: Description of the arm.
+        sizes: Length and radius of each load's body [m]; None for a load of unknown size.
+        steps: Steps of the plan.
+        rate_hz: Rate at which the motions are sampled [Hz].
+        clearance_m: Smallest distance of the planned motions to any obstacle [m].
 
     Raises:
-        PlanError: The motion itself trips an interlock; all that it trips are listed.
+        PlanError: The planned motion would trip an interlock; the message lists all such
+            interlocks.
     """
     moving = [step for step in steps if step.motion is not None]
     margins: list[float] = []
@@ -365,14 +377,17 @@ def interlock_margins(
     if problems:
         raise PlanError(
             "\n".join(problems),
-            hint="change these entries, or restrict the motion: excitation.range_deg or the poses "
-            "of excitation.file",
+            hint="change these entries, or restrict the motion by excitation.range_deg or by the "
+            "poses of excitation.file",
         )
     return {"workspace_m": min(margins)} if margins else {}
 
 
 def _least(space: FlangeSpace, steps: Sequence[Step], rate_hz: float) -> tuple[float, str]:
-    """The smallest distance of steps that move to a face, and what is wrong with it."""
+    """Return the smallest distance to a face of the workspace during the moving steps [m].
+
+    If the smallest distance is negative, the second value is a text that describes the violation.
+    """
     paths = [step.motion.sample(rate_hz).q for step in steps if step.motion is not None]
     found, samples = smallest_along_paths(paths, space.distances, space.reach)
     at = int(found.argmin())
@@ -381,32 +396,39 @@ def _least(space: FlangeSpace, steps: Sequence[Step], rate_hz: float) -> tuple[f
         return least, ""
     point, face = space.names[int(space.distances(paths[at][[samples[at]]])[:, 0].argmin())]
     place = f"step {steps[at].index} ({steps[at].kind})"
-    return least, f"{place} takes the {point} {-1e3 * least:.1f} mm beyond {face}"
+    return least, f"{place} moves the {point} {-1e3 * least:.1f} mm beyond {face}"
 
 
 def _too_close(interlock: ClearanceInterlock, clearance_m: float) -> str:
     if interlock.least_m is None or interlock.least_m < clearance_m:
         return ""
     return (
-        f"least_m is {interlock.least_m:g}, but the plan itself comes as close as "
-        f"{clearance_m:.4f} m to something"
+        f"least_m is {interlock.least_m:g} m, but the smallest distance of the plan to an "
+        f"obstacle is {clearance_m:.4f} m"
     )
 
 
 MOST_ROWS = 1500
-"""Samples a regressor is computed from: more change the condition number in the third digit."""
+"""Maximum number of samples in the regressor for the condition number.
+
+More samples than this maximum change only the third digit of the condition number.
+"""
 
 EFFORT_ROWS = 10_000
 Score = Callable[[FloatArray, FloatArray, FloatArray], float]
 
 
 def condition_score(arm: ArmDescription, gravity: Sequence[float], *, at_rest: bool) -> Score:
-    """Column-scaled condition number of the base regressor as a function of q, qd, qdd (N, n).
+    """Return a function that computes the condition number of the base regressor.
+
+    The returned function has the arguments q, qd and qdd, each (N, n), and returns the
+    column-scaled condition number.
 
     Args:
-        arm: The arm.
-        gravity: (3,) in the base frame [m/s²].
-        at_rest: Only the parameters that gravity shows count; velocities are ignored.
+        arm: Description of the arm.
+        gravity: (3,) gravity vector in the base frame [m/s²].
+        at_rest: Whether only the parameters that gravity excites are included; velocities and
+            accelerations are then ignored.
     """
     model = RobotModel.from_arm(arm.name, gravity=gravity)
     base = base_parameters(model, gravity_only=at_rest)
@@ -422,14 +444,17 @@ def condition_score(arm: ArmDescription, gravity: Sequence[float], *, at_rest: b
 
 
 def condition_number(score: Score, measured: Sequence[Motion], rate_hz: float) -> float:
-    """`score` over evenly thinned samples of the measuring motions."""
+    """Return the `score` of evenly thinned samples of the measuring motions."""
     return score(*_thinned(measured, rate_hz, MOST_ROWS))
 
 
 def _thinned(
     motions: Sequence[Motion], rate_hz: float, most_rows: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """q, qd, qdd of every k-th sample of the distinct motions, at most about `most_rows`."""
+    """Return q, qd and qdd at every k-th sample of the distinct motions.
+
+    The divisor k is chosen for at most about `most_rows` samples.
+    """
     samples = [motion.sample(rate_hz) for motion in dict.fromkeys(motions)]
     every = max(1, sum(map(len, samples)) // most_rows)
     columns = ([getattr(s, name) for s in samples] for name in ("q", "qd", "qdd"))
@@ -444,9 +469,10 @@ def effort_margin(
     motions: Sequence[Motion],
     rate_hz: float,
 ) -> float:
-    """Smallest distance of a joint torque to its limit [N·m].
+    """Return the smallest distance of a joint torque to its limit [N·m].
 
-    Of the nominal rigid body with each load, friction left out; negative when the arm cannot.
+    The torques are computed for the nominal rigid body with each load, without friction. The
+    returned distance is negative if a torque exceeds its limit.
     """
     model = RobotModel.from_arm(arm.name, gravity=gravity)
     q, qd, qdd = _thinned(motions, rate_hz, EFFORT_ROWS)

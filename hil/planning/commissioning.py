@@ -1,8 +1,8 @@
-"""The first runs on a real arm: the same program slower, and only the poses nearest to the arm.
+"""Commissioning: first runs on a real arm, at reduced speed and with only the nearest poses.
 
-Such a run is neither fitted nor judged, so it leaves out what only serves the measurement: the
-warm-up always, and with `--first` also reference visits and payload check. What remains is as
-little motion as possible.
+A commissioning run is neither fitted nor evaluated, so it omits steps that only serve the
+measurement: always the warm-up, and with `--limit` also reference visits and the payload check. The
+motion of a commissioning run is as short as possible.
 """
 
 from __future__ import annotations
@@ -23,15 +23,17 @@ LEAST_SPEED = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Commissioning:
-    """What of a plan is executed, and how fast.
+    """Part of a plan to execute, and its speed.
 
     Attributes:
-        speed: Share of the limits of speed, acceleration and jerk of every move, and of the speed
-            of every trajectory; paths stay the same, and what stands still stands still as long as
-            before.
-        first: So many poses or trajectories are measured; None for all of them.
-        first_s: Measurements that are over within this estimated time; None for all [s].
-        whole: Poses or trajectories of the whole plan; None when it is not known yet.
+        speed: Ratio of the executed speed to the planned speed. The ratio `speed` scales the limits
+            of speed, acceleration and jerk of every move, and the speed of every trajectory. Paths
+            and dwell times do not depend on this ratio.
+        first: Number of poses or trajectories to measure; None for all poses or trajectories.
+        first_s: Estimated time after which the plan contains no further measurement [s]; None for
+            no time limit.
+        whole: Number of poses or trajectories of the whole plan; None if the number is not known
+            yet.
     """
 
     speed: float = 1.0
@@ -57,16 +59,16 @@ class Commissioning:
         return self.first is not None or self.first_s is not None
 
     def within(self, plan: Plan) -> Commissioning:
-        """Return the same with the size of the program that `plan` is a part of."""
+        """Return a copy that also contains the size of the program of which `plan` is a part."""
         return replace(self, whole=plan.whole)
 
     @staticmethod
     def from_dict(raw: Mapping[str, Any]) -> Commissioning:
-        """Return what `to_dict` has written."""
+        """Return the commissioning data from a dictionary created by `to_dict`."""
         return Commissioning(**{name: value for name, value in raw.items() if name != "text"})
 
     def to_dict(self) -> dict[str, Any]:
-        """For the start document; `text` says it to people."""
+        """Return the entry of the start document; its key `text` is a readable description."""
         given = {name: value for name, value in asdict(self).items() if value is not None}
         return given | {"text": str(self)}
 
@@ -74,7 +76,7 @@ class Commissioning:
         """Return the plan with scaled speeds, truncated after the last selected measurement.
 
         Raises:
-            PlanError: Nothing would be measured.
+            PlanError: The selected part contains no measurement.
         """
         whole = len({_place(step) for step in plan if step.kind in MEASURED})
         steps = tuple(_slower(step, self.speed) for step in plan.steps)
@@ -82,13 +84,13 @@ class Commissioning:
         kept = steps[: self._end(slower)]
         if not any(step.kind in MEASURED for step in kept):
             raise PlanError(
-                f"nothing is measured {self}",
-                hint=f"the whole plan takes {slower.duration_s:.0f} s: allow more of it",
+                f"nothing would be measured: {self}",
+                hint=f"increase --limit; the whole plan takes {slower.duration_s:.0f} s",
             )
         return replace(slower, steps=kept)
 
     def _end(self, plan: Plan) -> int:
-        """Number of steps to keep: up to the last measurement that is still wanted."""
+        """Return the number of steps to retain, up to the last selected measurement."""
         end, passed_s = 0, 0.0
         seen: set[tuple[int, int, int]] = set()
         for step in plan.steps:
@@ -104,26 +106,28 @@ class Commissioning:
 
 
 def commissioning_of(speed: str = "", first: str = "") -> Commissioning | None:
-    """What `--speed` and `--first` say; None when they say nothing.
+    """Return the commissioning data for `--speed-scale` and `--limit`; None if both are empty.
 
     Args:
-        speed: `10%` or `0.1`.
-        first: `10` poses or trajectories, or `30s`.
+        speed: Ratio of executed speed to planned speed, as text such as `10%` or `0.1`.
+        first: Number of poses or trajectories, such as `10`, or a duration, such as `30s`.
 
     Raises:
-        SpecError: One of them cannot be.
+        SpecError: The text for speed or limit is invalid.
     """
     if not speed and not first:
         return None
     share = _number(speed.removesuffix("%")) / (100.0 if speed.endswith("%") else 1.0)
     if speed and not LEAST_SPEED <= share <= 1.0:
-        raise SpecError(f"--speed {speed} cannot be", hint="give a share from 1% to 100%")
+        raise SpecError(
+            f"--speed-scale {speed} is not a valid share", hint="pass a share from 1% to 100%"
+        )
     seconds = re.fullmatch(r"(.+?) ?s", first.strip())
     number = _number(seconds[1] if seconds else first)
     if first and not (number > 0 and (seconds or number == int(number))):
         raise SpecError(
-            f"--first {first} cannot be",
-            hint="give a number of poses or trajectories, such as 10, or a time, such as 30s",
+            f"--limit {first} is neither a positive number nor a time",
+            hint="pass a number of poses or trajectories, such as 10, or a time, such as 30s",
         )
     return Commissioning(
         speed=share if speed else 1.0,
@@ -141,7 +145,10 @@ def _number(text: str) -> float:
 
 
 def _place(step: Step) -> tuple[int, int, int]:
-    """What is measured: a dwell from either side is one and the same pose."""
+    """Return the identity of a measurement: load, pose and trajectory.
+
+    The dwells of a pose from both approach directions have the same identity.
+    """
     return step.load, step.pose, step.trajectory
 
 
@@ -150,10 +157,12 @@ def _slower(step: Step, share: float) -> Step:
 
 
 def _motion(motion: Motion, share: float) -> Motion:
-    """Return the same path at `share` of the speed.
+    """Return the same path, executed at the share `share` of the planned speed.
 
-    Lines keep their path at any limits. With all limits scaled alike, starting and stopping take
-    as long as at full speed: slower acceleration would make short moves a crawl.
+    The path of a straight joint-space line does not depend on its speed limits. All limits of a
+    move are scaled by the same factor, so that acceleration and deceleration take as long as at
+    full speed. If the acceleration were reduced more than the speed, short moves would be extremely
+    slow.
     """
     if isinstance(motion, Line):
         return replace(

@@ -1,8 +1,9 @@
-"""`hil new own-urdf`: an arm's description, a station and a first spec from its URDF.
+"""Files for a custom arm (`hil new own-urdf`): arm description, station and first spec from a URDF.
 
-What a URDF does not say is guessed, marked `GUESS` in the file, and told: the files work at once on
-the mock, and a person has to put in what the maker knows before anything real moves. Limits that no
-arm has (none at all, or degrees where radians belong) are refused or replaced.
+Values that a URDF does not contain are guessed, marked `GUESS` in the file, and reported. The files
+can be used immediately on the mock; before a real arm moves, an operator has to enter the
+manufacturer's values. Implausible limits (missing limits, or limits in degrees instead of radians)
+are refused or replaced.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from hil.dynamics import CollisionModel, Described, Environment, described
 from hil.spec import Draft, render
 
 MOCKED_JOINTS = 6
-"""The mock has drives for so many."""
+"""Number of joints for which the mock has drives."""
 
 POSES, SEED = 400, 0
 
@@ -26,19 +27,20 @@ POSES, SEED = 400, 0
 def own_arm_drafts(
     urdf: Path, spec: Path, *, robot: str, name: str
 ) -> tuple[list[Draft], list[str]]:
-    """The files for an arm of somebody's own, and what is to be known about them.
+    """Return the files for a custom arm, and notes about them.
 
     Args:
-        urdf: The arm.
-        spec: Where the spec goes; description and station stand beside it.
-        robot: What the robot is called in the station.
-        name: What the experiment is called.
+        urdf: Path of the URDF file of the arm.
+        spec: Path of the spec; description and station are written into the same folder.
+        robot: Name of the robot in the station.
+        name: Name of the experiment.
 
     Returns:
-        Spec, station and description; a line for each thing that the URDF did not say.
+        Drafts of spec, station and arm description, and one note for each value that the URDF
+        lacks.
 
     Raises:
-        SpecError: The URDF cannot be used, or the arm has no pose that is clear.
+        SpecError: The URDF is not usable, or the arm has no collision-free pose.
     """
     found = described(urdf)
     require_ranges(urdf, found)
@@ -49,7 +51,7 @@ def own_arm_drafts(
         start = _start(urdf, arm_from_dict(robot, look_into(text)))
     except ValueError as error:
         raise SpecError(
-            f"{urdf}: describes no arm: {error}", hint="see <inertial> of that link"
+            f"{urdf}: is not a valid arm description: {error}", hint="check <inertial> of this link"
         ) from None
     words = {
         "robot": robot, "name": name, "arm": arm.name, "urdf": urdf.name,
@@ -65,7 +67,10 @@ def own_arm_drafts(
 
 
 def _start(urdf: Path, arm: ArmDescription) -> FloatArray:
-    """The roomiest of some poses, in whole degrees [rad]: where the mock is switched on."""
+    """Return the pose with the most free space among random poses, in whole degrees [rad].
+
+    The mock of the arm is switched on in this pose.
+    """
     model = CollisionModel(arm, Environment())
     drawn = np.random.default_rng(SEED).uniform(
         np.degrees(arm.excite_min), np.degrees(arm.excite_max), (POSES, arm.n_joints)
@@ -74,8 +79,8 @@ def _start(urdf: Path, arm: ArmDescription) -> FloatArray:
     clearance = model.clearance(poses)
     if clearance.max() <= 0:
         raise SpecError(
-            f"{urdf}: in none of {POSES} poses would the arm be clear of itself and its table",
-            hint="see whether its joint limits are radians and its lengths metres",
+            f"{urdf}: the arm collides with itself or its table in all of {POSES} random poses",
+            hint="check that the joint limits are in radians and the lengths in metres",
         )
     return np.asarray(poses[clearance.argmax()])
 
@@ -89,39 +94,44 @@ def _notes(found: Described, arm: Path, station: Path) -> list[str]:
         rotors = zip(found.joint_names, found.rotor_inertia, strict=True)
         listed = ", ".join(f"{name} {_number(value)}" for name, value in rotors if value)
         notes.append(
-            f"rotor inertias (armature=, kg·m²) are not taken over, a description has none and "
-            f"fits identify them: {listed}"
+            f"rotor inertias (armature=, kg·m²) are ignored, because an arm description has none "
+            f"and fits identify them: {listed}"
         )
     notes.append(
-        f"a URDF knows no accelerations, gears, currents, payload, friction and no lean collision "
-        f"bodies: see GUESS in {arm} before anything real moves"
+        f"a URDF has no acceleration limits, gear ratios, drive gains, rated payload, friction or "
+        f"simple collision bodies: check the lines marked GUESS in {arm} before a real arm moves"
     )
     if len(found.mass) != MOCKED_JOINTS:
         notes.append(
-            f"the mock has drives for {MOCKED_JOINTS} joints and cannot be this arm of "
-            f"{len(found.mass)}: `hil validate`, `plan` and `run` work once {station} names "
-            "another driver, see docs/how-to/add-a-driver.md"
+            f"the mock has drives for {MOCKED_JOINTS} joints, but this arm has {len(found.mass)}: "
+            f"`hil validate`, `plan` and `run` require a different driver in {station}, see "
+            "docs/how-to/add-a-driver.md"
         )
     return notes
 
 
 def can_be_mocked(drafts: list[Draft]) -> bool:
-    """Whether the mock has drives for the arm that `own_arm_drafts` described."""
+    """Return whether the mock has drives for an arm described by `own_arm_drafts`."""
     return len(look_into(drafts[-1].text)["joints"]) == MOCKED_JOINTS
 
 
 MOST_RAD = 4 * np.pi
-"""Two turns to either side; arms with more turn endlessly."""
+"""Largest plausible joint position [rad]: two turns to either side; joints with a larger range
+are endless."""
 
 MOST_RAD_S = 50.0
-"""Eight turns a second, far above any arm's joint: degrees, or a number that stands for none."""
+"""Largest plausible joint speed [rad/s]: eight turns per second, faster than any real arm.
+
+A larger joint speed in a URDF is probably in degrees per second, or means that the joint has no
+speed limit.
+"""
 
 
 def require_ranges(urdf: Path, found: Described) -> None:
-    """Refuse joints that cannot move, or that turn so far that their limits must be degrees.
+    """Raise if a joint cannot move, or has a range so large that its limits must be in degrees.
 
     Raises:
-        SpecError: With a line for each such joint.
+        SpecError: At least one joint has an invalid range; the message has one line per joint.
     """
     ranges = [*zip(found.joint_names, found.q_min, found.q_max, strict=True)]
     stuck = [f"joint '{name}' has no range ({a:g} to {b:g})" for name, a, b in ranges if a >= b]
@@ -133,83 +143,84 @@ def require_ranges(urdf: Path, found: Described) -> None:
     ]
     if stuck:
         hint = (
-            "give its <limit> `lower` and `upper` in radians, or make it of type fixed or, "
-            "if it turns endlessly, continuous"
+            "set `lower` and `upper` of its <limit> in radians, or change its type to fixed or, "
+            "for endless rotation, to continuous"
         )
     else:
         hint = (
-            "a URDF has radians: 150° is 2.618 (and `velocity` has rad/s); a joint that turns "
-            "endlessly is of type continuous"
+            "write radians: 150° is 2.618 (and rad/s for `velocity`); a joint with endless "
+            "rotation has the type continuous"
         )
     if stuck or far:
         raise SpecError("\n".join(f"{urdf}: {line}" for line in stuck + far), hint=hint)
 
 
 def without_odd_speeds(found: Described) -> tuple[Described, list[str]]:
-    """The arm without speed limits that none has, and a line for people where it had some."""
+    """Return the arm without implausible speed limits, and a note about the removed limits."""
     odd = np.flatnonzero(found.qd_max > MOST_RAD_S)
     if not len(odd):
         return found, []
-    told = ", ".join(f"{found.joint_names[j]} {found.qd_max[j]:g} rad/s" for j in odd)
+    listed = ", ".join(f"{found.joint_names[j]} {found.qd_max[j]:g} rad/s" for j in odd)
     kept = np.where(found.qd_max > MOST_RAD_S, 0.0, found.qd_max)
     return replace(found, qd_max=kept), [
-        f"speed limits that no arm has (are they degrees per second?): {told}: not taken"
+        f"implausible speed limits are ignored (are they in degrees per second?): {listed}"
     ]
 
 
 ACCELERATION_PER_SPEED = 3.0
-"""Guessed limit [1/s]: full speed in a third of a second."""
+"""Ratio of the guessed acceleration limit to the speed limit [1/s]: full speed is reached in a
+third of a second."""
 
 EFFORT_NM, SPEED_DEG_S = 50.0, 90.0
 GEAR_RATIO, DRIVE_GAIN_NM_A = 100, 10.0
 RANGE_DEG, MARGIN_DEG = 120.0, 5.0
 
 SLENDER = 0.05
-"""Radius of guessed bodies, as a share of the arm's length."""
+"""Radius of the guessed collision bodies, as a share of the length of the arm."""
 
 NEVER_SAID = (
     "rate_hz", "payload_max", "excite", "qdd_max", "gear_ratio", "drive_gain", "capsules",
 )  # fmt: skip
-"""What no URDF says."""
+"""Keys of the arm description for values that no URDF contains."""
 
-_HEAD = """# An arm of one's own, from {urdf}; a station names this file as `model`.
+_HEAD = """# Description of a custom arm, from {urdf}; a station names this file as `model`.
 #
-# What that file says is here in standard (distal) DH frames; units are in the keys. What a URDF
-# does not say is guessed, in lines marked GUESS: good enough for the mock.
-# Before anything real moves:
+# The values of the URDF are converted to standard (distal) DH frames; the keys contain the units.
+# Values that the URDF lacks are guessed, in lines marked GUESS; they are sufficient for the mock.
+# Before a real arm moves, enter the correct values:
 #
-#   limits      from the data sheet; hil plans up to them
-#   qdd_max     how hard a joint may accelerate
-#   excite      the range in which programs move, unless a spec says otherwise
-#   gear_ratio  motor turns per turn of the joint
-#   drive_gain  torque at the joint per motor current; `hil gains` calibrates it
-#   capsules    bodies that are kept apart: everything of a link must be inside its own
+#   limits      limits from the data sheet; hil plans motions up to them
+#   qdd_max     maximum acceleration of a joint
+#   excite      range in which programs move, unless a spec has its own range
+#   gear_ratio  motor revolutions per revolution of the joint
+#   drive_gain  joint torque per motor current; `hil drive-gains` calibrates it
+#   capsules    collision bodies; the capsules of a link must enclose the whole link
 #
-# Then take its word out of `guessed`: until the list is empty no real arm is moved with this file,
-# or only with --waive, which is not taken for q_limits, qd_max, qdd_max and capsules.
+# Then remove the corrected name from the list `guessed`. A real arm moves only if this list is
+# empty, or with --waive, which is not accepted for q_limits, qd_max, qdd_max and capsules.
 #
-# Friction is nowhere here: the mock draws its own, real arms have theirs, and `hil` identifies it.
+# This file contains no friction: the mock draws its own, and `hil` identifies that of an arm.
 guessed: [{guessed}]
 sources:
   all: {source}
-rate_hz: 250  # GUESS of the controller
+rate_hz: 250  # GUESS, rate of the controller
 payload_max_kg: 1  # GUESS
 """
 
 
 def arm_text(urdf: str, found: Described) -> str:
-    """The YAML file; lines with a guess are marked `GUESS`.
+    """Return the YAML text of the arm description; guessed lines are marked `GUESS`.
 
     Args:
-        urdf: Its name, for people.
-        found: What it says.
+        urdf: Name of the URDF file, which is written into the comments.
+        found: Arm data from the URDF.
     """
     joints = "\n".join(_joint(found, j) for j in range(len(found.mass)))
     links = "\n".join(_link(found, j) for j in range(len(found.mass)))
     return (
         _HEAD.format(
             urdf=shown(urdf),
-            source=quoted_scalar(f"{urdf}, but for lines marked GUESS"),
+            source=quoted_scalar(f"{urdf}, except the lines marked GUESS"),
             guessed=", ".join(_guessed(found)),
         )
         + f"joints:\n{joints}\nlinks:\n{links}\n{_bodies(found)}"
@@ -234,17 +245,17 @@ def _joint(found: Described, j: int) -> str:
     }
     dh = {"a_m": a, "alpha_deg": np.degrees(alpha), "d_m": d, "theta_deg": np.degrees(theta)}
     silent = found.effort_max[j] == 0 or found.qd_max[j] == 0 or not np.isfinite(found.q_min[j])
-    told = "  # GUESS what the URDF leaves out" if silent else ""
+    mark = "  # GUESS values that the URDF lacks" if silent else ""
     return (
         f"  - {{name: {quoted_scalar(found.joint_names[j])}, {_row(dh)},\n"
-        f"     {_row(said)},{told}\n"
+        f"     {_row(said)},{mark}\n"
         f"     {_row(excited)},  # GUESS\n"
         f"     {_row(drive)}}}  # GUESS"
     )
 
 
 def _limits(low: float, high: float) -> tuple[float, float]:
-    """Degrees; an endless joint is given a turn to either side."""
+    """Return the position limits in degrees; an endless joint gets one turn to either side."""
     return (
         float(np.degrees(low)) if np.isfinite(low) else -360.0,
         float(np.degrees(high)) if np.isfinite(high) else 360.0,
@@ -252,7 +263,10 @@ def _limits(low: float, high: float) -> tuple[float, float]:
 
 
 def _excited(low: float, high: float) -> tuple[float, float]:
-    """Degrees; inside the limits, and not far from zero where they let it be near."""
+    """Return the joint range of the excitation in degrees, inside the position limits.
+
+    The excitation range is restricted to angles near zero if the position limits allow this.
+    """
     margin = min(MARGIN_DEG, (high - low) / 4)
     low, high = low + margin, high - margin
     near = max(low, -RANGE_DEG), min(high, RANGE_DEG)
@@ -285,7 +299,10 @@ def _guessed(found: Described) -> list[str]:
 
 
 def _bodies(found: Described) -> str:
-    """Rods from joint to joint, thinner towards the flange."""
+    """Return the YAML text of the guessed collision bodies.
+
+    The guessed collision bodies are rods between the joints, thinner towards the flange.
+    """
     lengths = np.linalg.norm(found.axes[:, 1] - found.axes[:, 0], axis=1)
     n, radius = len(found.mass), round(SLENDER * float(lengths.sum()), 3)
     foot = max(float(found.dh[0, 2]) / 2, 0.01)
@@ -295,12 +312,16 @@ def _bodies(found: Described) -> str:
         thick = radius * (1 - 0.5 * j / max(n - 1, 1))
         lines.append(f"  - {{link: {j + 1}, a_m: {_numbers(a)}, b_m: {_numbers(b)}, "
                      f"radius_m: {_number(round(thick, 3))}}}")  # fmt: skip
-    head = "capsules:  # GUESS rods from joint to joint; put bodies around your arm's real outline"
+    head = "capsules:  # GUESS rods from joint to joint; replace them to enclose the real links"
     return "\n".join([head, *lines, ""])
 
 
 def silent(found: Described) -> dict[str, tuple[str, BoolArray]]:
-    """What a URDF may leave out, by its words in the description: its name, and where it does."""
+    """Return the values that a URDF may lack, by key of the description.
+
+    Each entry contains the name of the quantity and a mask of the joints for which the quantity is
+    missing.
+    """
     return {
         "effort_max": ("torque limit", found.effort_max == 0),
         "qd_max": ("speed limit", found.qd_max == 0),

@@ -1,4 +1,4 @@
-"""What the trajectories of an experiment are worth, as `hil excite` tells it."""
+"""Evaluation of the trajectories of an experiment, as printed by `hil optimise`."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from hil.spec import Fourier
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExcitationReport:
-    """What the trajectories of an experiment are worth.
+    """Evaluation of the trajectories of an experiment.
 
     Attributes:
-        experiment: Whose they are.
-        appraisal: Of them.
-        random: Of as many random draws, each the best of a few; None where they are that already.
-        computed: How many were computed now; the others are from the cache.
-        seconds: What finding them took.
-        notes: What else is to be told.
+        experiment: Experiment to which the trajectories belong.
+        appraisal: Evaluation of the trajectories of the experiment.
+        random: Evaluation of the same number of random trajectories, each the best of a few random
+            draws; None if the trajectories of the experiment are random.
+        computed: Number of trajectories that were computed in this call; the other trajectories are
+            from the cache.
+        seconds: Computing time [s].
+        notes: Texts with additional notes for the user.
     """
 
     experiment: Experiment
@@ -32,12 +34,12 @@ class ExcitationReport:
 
     @property
     def spec(self) -> Fourier:
-        """The excitation that was asked for."""
+        """Excitation section of the experiment's spec."""
         assert isinstance(self.experiment.spec.excitation, Fourier)
         return self.experiment.spec.excitation
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil excite --json`."""
+        """Return the JSON output of `hil optimise --json`."""
         appraisal, random = self.appraisal, self.random
         number, closest = appraisal.closest
         asked = self.spec.optimise
@@ -60,7 +62,11 @@ class ExcitationReport:
         }
 
     def standard_errors(self) -> dict[str, float] | None:
-        """Those of random draws over those of these trajectories, by parameter."""
+        """Return the ratio of the standard errors from random and from optimised trajectories.
+
+        The keys of the returned mapping are the names of the parameters. The return value is None
+        if there are no random trajectories for comparison.
+        """
         if self.random is None:
             return None
         ours, theirs = self.appraisal.jointly, self.random.jointly

@@ -1,6 +1,7 @@
-"""An experiment: a spec, the station it runs at, and where both came from.
+"""Experiment: a spec, the station at which it runs, and the sources of both.
 
-The station is the one that is named, else the one beside the spec, else a bench of mocks.
+The station is the named station, otherwise `station.yaml` beside the spec, otherwise a bench of
+mocks.
 """
 
 from __future__ import annotations
@@ -33,20 +34,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """A spec bound to a station.
+    """Spec of an experiment with its station.
 
     Attributes:
-        spec: The validated spec.
-        station: The validated station.
-        robot: The station's entry for the spec's robot.
-        spec_text, station_text: The files as written; copied into the run directory.
-        folder: Folder of the spec.
-        station_source: Path of the station file, or that it is the built-in mock bench.
-        commissioning: What of the plan is executed, and how fast; None for all of it.
-        spec_source: Path of the spec file; empty when there is none.
-        occasion: What of a schedule it is run for, such as `weekly/20261128T030000Z-probe/probe`;
-            empty when it is not.
-        overrides: What was laid over the spec's file, YAML by dotted path; `spec_text` has it.
+        spec: Validated spec.
+        station: Validated station.
+        robot: Entry of the station for the spec's robot.
+        spec_text, station_text: Original text of the files, which is copied into the run directory.
+        folder: Folder of the spec file.
+        station_source: Path of the station file, or the name of the built-in mock bench.
+        commissioning: Part of the plan to execute and its speed; None for the whole plan.
+        spec_source: Path of the spec file; empty if there is no file.
+        occasion: Name of the schedule occasion of the experiment, such as
+            `weekly/20261128T030000Z-probe/probe`; empty without a schedule.
+        overrides: Overrides of the spec file as YAML text by dotted path; already applied to
+            `spec_text`.
     """
 
     spec: ExperimentSpec
@@ -63,28 +65,31 @@ class Experiment:
 
     @property
     def title(self) -> str:
-        """One line for people."""
-        told = f", {self.commissioning}" if self.commissioning else ""
-        return f"{self.spec.name} on {self.spec.robot}{self._which} ({self.station_source}){told}"
+        """Description of the experiment in one line."""
+        part = f", {self.commissioning}" if self.commissioning else ""
+        return f"{self.spec.name} on {self.spec.robot}{self._which} ({self.station_source}){part}"
 
     def __repr__(self) -> str:
         return f"<Experiment {self.title}>"
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook."""
+        """Return the HTML card for a notebook."""
         facts = {
             "robot": self.spec.robot,
             "model": self.robot.model,
             "driver": self.robot.driver + self._which,
             "station": self.station_source,
-            "what": self.spec.description,
-            "part of it": self.commissioning or "",
+            "description": self.spec.description,
+            "part": self.commissioning or "",
         }
         return card("Experiment", self.spec.name, facts)
 
     @property
     def _which(self) -> str:
-        """Which individual a mock is: models of one know nothing of the others."""
+        """Number of the mock individual as text; empty for robots other than mocks.
+
+        A model that was fitted to one mock individual is not valid for other individuals.
+        """
         if self.robot.driver != "mock":
             return ""
         return f", individual {self.robot.options.get('seed', 0)}"
@@ -96,18 +101,20 @@ def load(
     *,
     overrides: Mapping[str, object] | None = None,
 ) -> Experiment:
-    """Load and check an experiment spec and its station.
+    """Load and validate an experiment spec and its station.
 
     Args:
-        spec: The spec's file, or what `read_source` read from it, which is changed.
-        station: The station's file; by default $HIL_STATION, `station.yaml` beside the spec, or a
-            bench with every built-in arm that can be mocked, and one on mock CAN drives, in this
+        spec: Spec file, or the source that `read_source` read from the file; the source is
+            modified.
+        station: Station file; by default $HIL_STATION, `station.yaml` beside the spec, or a bench
+            with every built-in arm that can be mocked and one arm on mock CAN drives, in this
             order. A real robot is never chosen by default.
-        overrides: Other values in the spec by dotted path (`excitation.waypoints`); texts are YAML,
-            as those of `--set`.
+        overrides: Overrides of the spec by dotted path (`excitation.waypoints`); values of type
+            text are read as YAML, as for `--set`.
 
     Raises:
-        SpecError: With every problem of both files; or the station lacks the robot.
+        SpecError: A file has problems, which are all listed, or the station does not contain the
+            robot.
     """
     texts = {
         key: value if isinstance(value, str) else json.dumps(value, default=_plain)
@@ -119,12 +126,12 @@ def load(
 
 
 def _plain(value: object) -> object:
-    """A number or list of numpy's as Python's own."""
+    """Return a number or array of numpy as a Python number or list."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise SpecError(
-        f"overrides: {value!r} is nothing that YAML has",
-        hint="give numbers, texts, lists and mappings",
+        f"overrides: {value!r} is not a YAML value",
+        hint="pass numbers, texts, lists and mappings",
     )
 
 
@@ -157,32 +164,36 @@ def _robot_of(
     *,
     named: bool,
 ) -> StationRobot:
-    """The robot of a spec; where nobody named a station, an error names those beside the spec."""
+    """Return the station entry of a spec's robot.
+
+    If no station was named, the error message lists the stations beside the spec.
+    """
     try:
         return resolve_robot(spec, station)
     except SpecError as error:
         source = read_source(file)
         lay_over(source, overrides)
         found = [] if named else [str(one) for one in stations_in(file.parent, spec.robot)]
-        beside = f"it is at a station beside the spec: --station {' or '.join(found)}"
+        beside = f"use the station beside the spec: --station {' or '.join(found)}"
         message = f"{source.mark(('robot',))}: {error.message}"
         raise SpecError(message, hint=beside if found else error.hint) from None
 
 
 def require_experiment(experiment: Experiment) -> None:
-    """Refuse what `load` does not give.
+    """Raise if an object is not an experiment returned by `load`.
 
     Raises:
-        SpecError: It is something else.
+        SpecError: The object is not an experiment.
     """
     if not isinstance(experiment, Experiment):
         raise SpecError(
-            f"{experiment!r:.80} is no experiment", hint="load it first: hil.load('spec.yaml')"
+            f"{experiment!r:.80} is not an experiment",
+            hint="load it first: hil.load('spec.yaml')",
         )
 
 
 MOST_LOOKED_AT = 20
-"""Files beside a spec that may be its station."""
+"""Maximum number of files beside a spec that are searched for its station."""
 
 MOCK_DRIVES = {
     "bus": {"interface": "hil_unix", "channel": "can0", "bitrate": 1_000_000},
@@ -191,24 +202,25 @@ MOCK_DRIVES = {
     "temperature_object": 0x2110,
     "pace": "free",
 }
-"""Options of the driver `cia402` for what `hil mock can` starts: see lab6_can_mock.yaml."""
+"""Options of the driver `cia402` for the drives of `hil mock can`, as in lab6_can_mock.yaml."""
 
 NOT_MOCKED = ("panda",)
-"""Built-in arms that the embedded mock cannot be: its drives are of six joints."""
+"""Built-in arms that the embedded mock does not support, because the mock has drives for six
+joints."""
 
 MOCK_STARTS = {"kr300": [0, -90, 90, 0, 0, 0]}
-"""Where mocks of arms begin for which all zeros is no pose [deg]."""
+"""Start poses of the mocks of arms that cannot stand at zero joint angles [deg]."""
 
 
 def find_station(folder: Path, named: Path | None = None) -> tuple[Station, str, str]:
-    """The station to work at, as `load` chooses it: itself, its text, its source.
+    """Return the station that `load` would choose: the station, its text and its source.
 
     Args:
-        folder: Where `station.yaml` is looked for.
-        named: The station file, when somebody has named one.
+        folder: Folder in which `station.yaml` is searched for.
+        named: Path of the station file that the user named; None if the user named no station file.
 
     Raises:
-        SpecError: The file has problems.
+        SpecError: The station file has problems.
     """
     chosen = named or _station_nearby(folder)
     if chosen is None:
@@ -216,8 +228,8 @@ def find_station(folder: Path, named: Path | None = None) -> tuple[Station, str,
     station = load_station(chosen)
     text = chosen.read_text("utf-8")
     if any(is_path(robot.model) for robot in station.robots.values()):
-        # A copy is read from the folder of a run, where a relative path means something else.
-        text = station.as_text(f"{chosen.name}, with whole paths")
+        # Absolute paths, because the copy of the station is in a run directory.
+        text = station.as_text(f"{chosen.name}, with absolute paths")
     return station, text, str(chosen)
 
 
@@ -235,7 +247,10 @@ def _station_nearby(folder: Path) -> Path | None:
 
 
 def stations_in(folder: Path, robot: str) -> list[Path]:
-    """Files beside a spec, such as `hil new own-urdf` writes, of a station with this robot."""
+    """Return the station files in the folder of a spec that contain a robot.
+
+    Station files of this kind are written by `hil new own-urdf`.
+    """
     found = []
     for file in sorted(folder.glob("*-station.yaml"))[:MOST_LOOKED_AT]:
         with suppress(SpecError):
@@ -246,26 +261,30 @@ def stations_in(folder: Path, robot: str) -> list[Path]:
 
 
 def passed_over(source: str, spec: Path, robot: str) -> str:
-    """What to say where the bench of mocks was chosen, and a station beside the spec has its robot.
+    """Return a notice if the mock bench was chosen although a nearby station has the robot.
+
+    A nearby station is a station file beside the spec. The returned text is empty if no station
+    file beside the spec contains the robot.
 
     Args:
-        source: What `find_station` chose.
-        spec: The spec's file.
-        robot: Its robot.
+        source: Source of the station that `find_station` chose.
+        spec: Spec file.
+        robot: Name of the spec's robot.
     """
     found = stations_in(spec.parent, robot) if source == BUILT_IN else []
     if not found:
         return ""
     return (
-        f"using {robot} of the {BUILT_IN}, not the one in {found[0].name} beside the spec; "
-        f"to use that: --station {' or '.join(map(str, found))}"
+        f"using {robot} of the {BUILT_IN}, not the one in {found[0].name} beside the spec; to use "
+        f"the latter: --station {' or '.join(map(str, found))}"
     )
 
 
 def mock_bench() -> Station:
-    """A bench with every built-in arm that the embedded mock can be, seed 0, and `lab6_can`.
+    """Return a station with all built-in arms that the embedded mock supports, with seed 0.
 
-    The latter meets the drives of `hil mock can` on a bus that no other computer can reach.
+    The additional robot `lab6_can` connects to the drives of `hil mock can` on a bus that no other
+    computer can reach.
     """
     embedded = {
         name: StationRobot(driver="mock", model=name, options=_mock_options(name))

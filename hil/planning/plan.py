@@ -1,12 +1,12 @@
-"""The plan: what the robot will do, as frozen data with a stable hash.
+"""Plan of an experiment: motions and measurements of a robot as frozen data with a stable hash.
 
-Preview, estimates, preflight, execution and resume all consume this one object. Motions are kept
-as their few parameters, not as samples: `Motion.sample(rate_hz)` gives the set-points, always the
-same ones (decision record 0003).
+Preview, estimates, preflight, execution and resumption all use the same plan object. The plan
+contains the few parameters of each motion instead of samples; `Motion.sample(rate_hz)` always
+returns the same set-points (decision record 0003).
 
-A plan read back from a disk (`read_plan`) moves a robot: every value of the document is looked at
-first, and everything that is wrong is told at once, with its place. Numbers stay as they were
-written, so that a plan's hash does.
+A plan that `read_plan` reads from the disk will move a robot. Therefore, `read_plan` first checks
+every value of the document, and reports all problems together with their places. The numbers of a
+plan document are not converted, so that the hash of the plan does not change.
 """
 
 from __future__ import annotations
@@ -33,25 +33,26 @@ PLAN_FORMAT = 1
 StepKind = Literal["payload", "weigh", "warmup", "move", "dwell", "trajectory", "reference"]
 
 AT_REST: tuple[StepKind, ...] = ("weigh", "dwell", "reference")
-"""Steps that stand still until the plan's dwell rule is met."""
+"""Kinds of steps at standstill; such steps end when the dwell rule of the plan is satisfied."""
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One thing the robot does.
+    """Single step of a plan.
 
     Attributes:
-        index: Position in the plan; recorded with every sample.
-        kind: `move` gets somewhere, `dwell` and `reference` stand still and measure,
-            `trajectory` measures in motion, `warmup` moves without measuring, `payload` changes
-            the load (with a prompt for the operator), `weigh` stands still to see whether it is
-            the load declared.
-        motion: The commanded motion; None for `payload`.
-        pose, trajectory: Number of the pose (weighing poses count for themselves) or trajectory,
-            −1 where there is none.
-        approach: +1 when every joint arrived from below, −1 from above, 0 otherwise.
-        load: Index into `Plan.loads`.
-        checkpoint: True when the run can be paused or resumed before this step.
+        index: Position of the step in the plan; recorded with every sample.
+        kind: Kind of the step. The kind `move` changes the pose, `dwell` and `reference` measure at
+            standstill, `trajectory` measures in motion, `warmup` moves without measuring, `payload`
+            changes the load (with a prompt for the operator), and `weigh` checks at standstill
+            whether the mounted load is the declared load.
+        motion: Commanded motion; None for a step of kind `payload`.
+        pose, trajectory: Number of the pose or trajectory; −1 if the step has none. The poses of
+            the payload check are numbered separately.
+        approach: Approach direction: +1 if every joint arrived from below, −1 if from above, 0
+            otherwise.
+        load: Index of the mounted load in `Plan.loads`.
+        checkpoint: Whether the run can be paused or resumed immediately before this step.
     """
 
     index: int
@@ -65,11 +66,11 @@ class Step:
 
     @property
     def measures(self) -> bool:
-        """True for steps whose samples are fitted to or judged on."""
+        """Whether a fit or an evaluation uses the samples of the step."""
         return self.kind in ("dwell", "trajectory", "reference")
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form, without keys that say nothing."""
+        """Return the JSON form of the step; keys with default values are left out."""
         out: dict[str, Any] = {"index": self.index, "kind": self.kind, "load": self.load}
         out |= {k: v for k in ("pose", "trajectory") if (v := getattr(self, k)) >= 0}
         out |= {k: v for k in ("approach", "checkpoint") if (v := getattr(self, k))}
@@ -77,14 +78,19 @@ class Step:
 
     @staticmethod
     def from_dict(raw: dict[str, Any]) -> Step:
-        """Inverse of `to_dict`."""
+        """Return the step from a dictionary created by `to_dict`."""
         motion = motion_from_dict(raw["motion"]) if "motion" in raw else None
         return Step(**{**raw, "motion": motion})
 
 
 @dataclass(frozen=True, slots=True)
 class DwellRule:
-    """When a dwell is over: `samples` settled ones, at least `dwell_s`, at most `timeout_s`."""
+    """End condition of a dwell.
+
+    A dwell ends when `samples` settled samples are recorded and at least `dwell_s` has passed, at
+    the latest after `timeout_s`. A sample is settled if the speed of every joint is below
+    `settle_rad_s`.
+    """
 
     dwell_s: float = 0.095
     samples: int = 10
@@ -94,12 +100,12 @@ class DwellRule:
 
 @dataclass(frozen=True, slots=True)
 class LoadStep:
-    """A load of the plan.
+    """Load of a plan.
 
     Attributes:
-        payload: What is mounted.
-        prompt: What the operator is told before it is.
-        size_m: Length and radius of its body along the flange axis, None when not known.
+        payload: Mounted payload.
+        prompt: Text that is shown to the operator before the payload is mounted.
+        size_m: Length and radius of the payload body along the flange axis [m]; None if unknown.
     """
 
     payload: Payload
@@ -108,27 +114,29 @@ class LoadStep:
 
 
 SETTLING_S = 0.1
-"""Typical time an arm needs to come to rest after the set-point did [s]; for estimates only."""
+"""Typical settling time of an arm after the end of its set-point motion [s]; used only for
+estimates."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """An immutable program for one robot.
+    """Immutable program of motions and measurements for one robot.
 
     Attributes:
-        name: The experiment's name.
-        robot_model: Built-in arm or URDF the plan was made for.
-        joint_names: Length n.
-        rate_hz: Rate at which motions are sampled and states recorded.
-        steps: In order of execution; step i has index i.
-        loads: What `Step.load` points into.
-        dwell: When a dwell is over.
-        weigh_dwell: When a weighing dwell is over; None in a plan without any.
+        name: Name of the experiment.
+        robot_model: Name of the built-in arm, or path of the URDF, for which the plan was computed.
+        joint_names: Names of the n joints.
+        rate_hz: Rate at which motions are sampled and states are recorded [Hz].
+        steps: Steps in order of execution; the step at position i has the index i.
+        loads: List of the payloads, indexed by `Step.load`.
+        dwell: End condition of the dwells in which the plan measures.
+        weigh_dwell: End condition of a payload-check dwell; None in a plan without such dwells.
         margins: Smallest distance to every limit (see `hil plan`), all ≥ 0.
-        condition_number: Column-scaled condition number of the base regressor on the plan's
-            measuring samples; infinite where they do not determine the parameters.
-        whole: Poses or trajectories of the program that this plan is a commissioning run of; None
-            for the program itself. Not stored.
+        condition_number: Column-scaled condition number of the base regressor on the measuring
+            samples; infinite if the samples do not determine the parameters.
+        whole: Number of poses or trajectories of the whole program, if this plan is a commissioning
+            run that executes a part of the program; None for a plan of the whole program. The value
+            `whole` is not stored with the plan.
     """
 
     name: str
@@ -150,45 +158,45 @@ class Plan:
         return len(self.steps)
 
     def __repr__(self) -> str:
-        told = f"{len(self)} steps, {self.duration_s:.0f} s, {self.hash[:12]}"
-        return f"<Plan {self.name} for {self.robot_model}: {told}>"
+        facts = f"{len(self)} steps, {self.duration_s:.0f} s, {self.hash[:12]}"
+        return f"<Plan {self.name} for {self.robot_model}: {facts}>"
 
     def _repr_html_(self) -> str:
-        """Return the card for a notebook, with the picture that `hil.report` draws."""
+        """Return the HTML card for a notebook, with a figure drawn by `hil.report`."""
         drawn: str = plugins.load("hil.cards", "plan")(self)
         return drawn
 
     @property
     def waypoints(self) -> int:
-        """Number of distinct poses that are dwelt at (reference visits not counted)."""
+        """Number of distinct dwell poses; reference visits are not counted."""
         return len({step.pose for step in self.steps if step.kind == "dwell"})
 
     @cached_property
     def duration_s(self) -> float:
-        """Estimated duration: motions plus the shortest possible dwells [s]."""
+        """Estimated duration of the plan [s]: all motions plus the shortest possible dwells."""
         return sum(self.step_duration_s(step) for step in self.steps)
 
     @property
     def motions(self) -> list[Motion]:
-        """The motions in order, steps without one left out."""
+        """Motions of the plan in order of execution; steps without a motion are left out."""
         return [step.motion for step in self.steps if step.motion is not None]
 
     @property
     def q_start(self) -> FloatArray:
-        """(n,) where the robot must stand before the first motion [rad]."""
+        """Joint positions (n,) before the first motion of the plan [rad]."""
         return self.motions[0].q_start
 
     @cached_property
     def extremes(self) -> Extremes:
-        """How far, fast and hard each joint goes."""
+        """Extreme positions, speeds and accelerations of each joint during the plan."""
         return extremes_of(self.motions, self.rate_hz)
 
     def dwell_rule(self, step: Step) -> DwellRule:
-        """When a step that stands still is over."""
+        """Return the end condition of a dwell for a step at standstill."""
         return (self.weigh_dwell if step.kind == "weigh" else None) or self.dwell
 
     def step_duration_s(self, step: Step) -> float:
-        """Estimated duration of one step [s]; a dwell also needs a moment to settle."""
+        """Return the estimated duration of one step [s]; a dwell includes its settling time."""
         if step.motion is None:
             return 0.0
         if step.kind in AT_REST:
@@ -198,14 +206,14 @@ class Plan:
 
     @cached_property
     def hash(self) -> str:
-        """sha256 of the canonical JSON of everything that moves the robot."""
+        """SHA-256 digest of the canonical JSON of all data that determine the motion."""
         raw = self.to_dict()
         core = {k: v for k, v in raw.items() if k not in ("margins", "condition_number", "hash")}
         text = json.dumps(core, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form; `from_dict` gives an equal plan back."""
+        """Return the JSON form of the plan; `from_dict` returns an equal plan."""
         weigh = {"weigh_dwell": asdict(self.weigh_dwell)} if self.weigh_dwell else {}
         return weigh | {
             "hil_plan": PLAN_FORMAT,
@@ -222,7 +230,7 @@ class Plan:
 
     @staticmethod
     def from_dict(raw: dict[str, Any]) -> Plan:
-        """Inverse of `to_dict`."""
+        """Return the plan from a dictionary created by `to_dict`."""
         return Plan(
             name=raw["name"],
             robot_model=raw["robot_model"],
@@ -259,13 +267,17 @@ def _or_infinite(value: float | None) -> float:
 
 
 def number_or_none(value: float) -> float | None:
-    """The value, or None where JSON has no word for it."""
+    """Return the value; None if JSON cannot represent the value."""
     return value if math.isfinite(value) else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extremes:
-    """Over all samples: `q_min`, `q_max` [rad], `qd_max` [rad/s], `qdd_max` [rad/s²], each (n,)."""
+    """Extreme values of n joints over all samples.
+
+    `q_min` and `q_max` are positions [rad], `qd_max` is the speed [rad/s] and `qdd_max` the
+    acceleration [rad/s²]. Each array of extreme values has the shape (n,).
+    """
 
     q_min: FloatArray
     q_max: FloatArray
@@ -274,7 +286,10 @@ class Extremes:
 
 
 def extremes_of(motions: Iterable[Motion], rate_hz: float) -> Extremes:
-    """The extremes of at least one motion at its set-points; repeated motions cost once."""
+    """Return the extreme values of one or more motions at their set-points.
+
+    A motion that occurs several times is evaluated only one time.
+    """
     rows = [_extremes(motion, rate_hz) for motion in dict.fromkeys(motions)]
     least, most, speed, acceleration = (np.array(column) for column in zip(*rows, strict=True))
     return Extremes(
@@ -293,14 +308,14 @@ def _extremes(motion: Motion, rate_hz: float) -> tuple[FloatArray, ...]:
 
 
 def read_plan(path: Path) -> Plan:
-    """The plan a JSON file holds, equal to the one that was written, hash included.
+    """Return the plan in a JSON file; it equals the written plan, including its hash.
 
-    Whether it is the plan a run was begun with is for the caller to see: compare `Plan.hash` with
-    the start document's `plan_hash`.
+    `read_plan` does not check whether a run was begun with this plan; callers compare `Plan.hash`
+    with `plan_hash` of the start document.
 
     Raises:
-        DataError: The file is missing, no JSON, no plan (with the place of everything that is
-            wrong), or was written by a newer hil.
+        DataError: The file is missing, is not JSON, is not a valid plan (the message lists the
+            place of every problem), or was written by a newer version of hil.
     """
     document = read_json(path)
     require_plan(document, str(path))
@@ -308,7 +323,8 @@ def read_plan(path: Path) -> Plan:
 
 
 MOST_STEPS = 5_000_000
-"""100 000 poses from two sides, with the lines that lead there, have fewer."""
+"""Maximum number of steps in a plan, enough for 100 000 poses from two sides with connecting
+lines."""
 
 MOST_JOINTS = 64
 LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 1e-3, 20_000.0
@@ -319,7 +335,8 @@ NonNegative = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
 Rate = Annotated[float, Strict(), Field(ge=LOWEST_RATE_HZ, le=HIGHEST_RATE_HZ)]
 
 Limit = Annotated[float, Strict(), Field(ge=1e-6, le=1e6)]
-"""Of a motion: what trajectory generation can be trusted with, far beyond any robot either way."""
+"""Limit of a motion; the allowed range contains every robot and is safe for trajectory
+generation."""
 
 Integer = Annotated[int, Strict()]
 Joints = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=MOST_JOINTS)]
@@ -328,23 +345,23 @@ Number = Annotated[Integer, Field(ge=-1, le=2**31 - 1)]
 
 
 def require_plan(document: Mapping[str, Any], where: str) -> None:
-    """Refuse what is no plan.
+    """Raise if a document is not a valid plan.
 
     Args:
-        document: As it comes out of JSON.
-        where: Begins the message.
+        document: Parsed JSON document of the plan.
+        where: Name of the document's file, which begins the error message.
 
     Raises:
-        DataError: With everything that is wrong (the first twenty of it), or because a newer hil
-            wrote it.
+        DataError: The document has problems, of which the message lists the first twenty, or was
+            written by a newer version of hil.
     """
     require_known_version(Path(where), document, "hil_plan", PLAN_FORMAT)
     if problems := _problems_of(document):
-        told = "".join(f"\n  {problem}" for problem in problems[:MOST_PROBLEMS])
+        lines = "".join(f"\n  {problem}" for problem in problems[:MOST_PROBLEMS])
         more = "\n  …" if len(problems) > MOST_PROBLEMS else ""
         raise DataError(
-            f"{where} is no plan:{told}{more}",
-            hint="take the original file from a copy, or make the plan again: hil plan SPEC",
+            f"{where} is not a valid plan:{lines}{more}",
+            hint="restore the original file from a copy, or compute the plan again: hil plan SPEC",
         )
 
 
@@ -430,8 +447,12 @@ _PLAIN = (str, int, float, bool, type(None))
 
 
 def _told(error: ErrorDetails) -> str:
-    """`steps.12.motion.goal_rad.3: Input should be a valid number, not 'abc'`."""
-    # The name of a union's branch in the path is no key of the document.
+    """Return the place, the problem and the value of a validation error as text.
+
+    The text has, for example, the form `steps.12.motion.goal_rad.3: Input should be a valid number,
+    not 'abc'`.
+    """
+    # The path from pydantic contains union tags, which are not keys of the document.
     kinds = ("line", "fourier", "hold")
     place = ".".join(str(part) for part in error["loc"] if part not in kinds)
     given, what = error["input"], error["msg"].removesuffix(".")
@@ -441,18 +462,18 @@ def _told(error: ErrorDetails) -> str:
 
 
 def _inconsistencies(plan: _PlanPart) -> Iterator[str]:
-    """What the single values do not show."""
+    """Yield a message for each inconsistency between values that are valid individually."""
     n = len(plan.joint_names)
     if len(set(plan.joint_names)) < n:
         yield "joint_names: two joints have the same name"
     for i, step in enumerate(plan.steps):
         at = f"steps.{i}"
         if step.index != i:
-            yield f"{at}.index: must be {i}, its place in the plan, not {step.index}"
+            yield f"{at}.index: must be {i}, its position in the plan, not {step.index}"
         if step.load >= len(plan.loads):
             yield f"{at}.load: there is no load {step.load}: `loads` has {len(plan.loads)}"
         if (step.motion is None) != (step.kind == "payload"):
-            yield f"{at}.motion: every step but a change of load has one"
+            yield f"{at}.motion: every step except a change of load has a motion"
         elif step.motion is not None:
             yield from (f"{at}.motion.{problem}" for problem in _motion(step.motion, n))
 
@@ -466,11 +487,14 @@ def _motion(motion: _LinePart | _FourierPart | _HoldPart, n: int) -> Iterator[st
     if len({len(row) for row in rows}) > 1:
         yield "a_rad_s: the joints have different numbers of harmonics"
     if _shortest_s(motion) > LONGEST_S:
-        yield f"kind: it would take longer than {LONGEST_S / 3600:.1f} h"
+        yield f"kind: the motion would take longer than {LONGEST_S / 3600:.1f} h"
 
 
 def _shortest_s(motion: _LinePart | _FourierPart | _HoldPart) -> float:
-    """How long a motion takes at least [s]; each limit of a line alone, never the product."""
+    """Return a lower bound for the duration of a motion [s].
+
+    For a straight line, the bound is evaluated for each limit separately.
+    """
     if isinstance(motion, _FourierPart):
         return motion.periods / motion.fundamental_hz
     if isinstance(motion, _HoldPart):

@@ -1,6 +1,6 @@
-"""What a plan amounts to, before anything moves: `hil plan SPEC --json`.
+"""Preview of a plan before any motion (`hil plan SPEC --json`), with warnings.
 
-It also says what is allowed and still worth a second look.
+The preview also warns about settings that are allowed but probably unintended.
 """
 
 from __future__ import annotations
@@ -18,29 +18,34 @@ from hil.planning.weighing import is_sweep, why_not_weighed
 from hil.robot import state_dtype
 
 COMPRESSION = 0.71
-"""Bytes in the finished file per byte of state row, message headers, index and JointStates
-included: measured on 47,000 rows of a dwell program with sensor noise (zstd chunks of 1 MiB)."""
+"""Ratio of the size of the finished recording to the size of its state rows.
+
+The size ratio includes message headers, index and JointStates. The size ratio was measured on
+47,000 rows of a dwell program with sensor noise (zstd chunks of 1 MiB).
+"""
 
 BYTES_PER_STEP = 500
-"""What a step takes in the recording's attached copy of the plan."""
+"""Size of one step in the copy of the plan that is attached to the recording [bytes]."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanPreview:
-    """The contract of `hil plan --json`.
+    """Preview of a plan, in the form of the output of `hil plan --json`.
 
     Attributes:
-        waypoints: Distinct poses that are dwelt at.
-        duration_s: Estimate; dwells take as long as settling takes.
-        recording_bytes: Estimated size of the recording.
+        waypoints: Number of distinct dwell poses.
+        duration_s: Estimated duration of the plan [s]; the actual settling times are unknown.
+        recording_bytes: Estimated size of the recording [bytes].
         margins: Smallest distance to every limit (see `hil.planning.checks`).
-        condition_number: Of the column-scaled base regressor on the measuring samples.
-        hash: The plan's identity.
-        steps: Number of steps of each kind, in the order in which they first occur.
-        samples: State rows to be recorded.
-        swept: Where the motions take the arm.
-        warnings: What is allowed and still worth a second look, a sentence each.
-        interlocks: What will watch, as `Interlocks.describe` puts it; empty when nobody said.
+        condition_number: Condition number of the column-scaled base regressor on the measuring
+            samples.
+        hash: Hash of the plan.
+        steps: Number of steps of each kind, in order of first occurrence.
+        samples: Number of state rows that the run will record.
+        swept: Space that the motions of the plan sweep.
+        warnings: Warnings about allowed but probably unintended settings, one sentence each.
+        interlocks: Descriptions of the interlocks from `Interlocks.describe`; empty if no
+            interlocks were passed.
     """
 
     waypoints: int
@@ -56,7 +61,7 @@ class PlanPreview:
     interlocks: tuple[Mapping[str, str], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the JSON form of the preview."""
         return {
             "waypoints": self.waypoints,
             "duration_s": self.duration_s,
@@ -75,9 +80,15 @@ class PlanPreview:
 def preview(
     plan: Plan, interlocks: Iterable[Mapping[str, str]] = (), unasked: Iterable[str] = ()
 ) -> PlanPreview:
-    """What `plan` amounts to, what will watch over it, and what nobody has asked the robot."""
+    """Return the preview of a plan.
+
+    Args:
+        plan: Plan to preview.
+        interlocks: Descriptions of the interlocks that monitor the plan.
+        unasked: Warnings about properties that were not read from the robot.
+    """
     size = recording_bytes(plan)
-    # A commissioning run is not fitted: its condition number and its loads are no concern.
+    # A commissioning run is not fitted, so condition number and loads cause no warnings.
     commissioning = plan.whole is not None
     condition = 1.0 if commissioning else plan.condition_number
     worries = [*concerns(condition, plan.duration_s, size)]
@@ -100,7 +111,7 @@ def preview(
 def _not_weighed(plan: Plan) -> list[str]:
     masses = [load.payload.mass for load in plan.loads]
     reason = why_not_weighed(masses, sum(step.kind == "weigh" for step in plan))
-    return [f"no load is weighed: {reason}"] if reason and is_sweep(plan) else []
+    return [f"no payload check: {reason}"] if reason and is_sweep(plan) else []
 
 
 def _samples(plan: Plan) -> int:
@@ -108,29 +119,36 @@ def _samples(plan: Plan) -> int:
 
 
 def recording_bytes(plan: Plan) -> int:
-    """Estimated size of the recording: state rows as compressed, and the attached plan."""
+    """Return the estimated size of the recording [bytes].
+
+    The estimate includes the compressed state rows and the attached plan.
+    """
     row = state_dtype(len(plan.joint_names)).itemsize
     return round(_samples(plan) * row * COMPRESSION) + BYTES_PER_STEP * len(plan)
 
 
 HIGHEST_CONDITION = 1000.0
-"""Of the column-scaled regressor; noise then reaches some parameters a thousandfold."""
+"""Condition number of the column-scaled regressor above which a warning is issued.
+
+At this condition number, noise affects some parameters about a thousand times more than others.
+"""
 
 LONGEST_S = 12 * 3600.0
 LARGEST_BYTES = 20e9
 
 
 def concerns(condition_number: float, duration_s: float, recording_bytes: float) -> Iterator[str]:
-    """One sentence for everything about a plan that is allowed but hardly meant.
+    """Yield one sentence for each property of a plan that is allowed but probably unintended.
 
     Args:
-        condition_number: See `hil.planning.checks`; infinite when parameters are not determined.
+        condition_number: Condition number of the base regressor, see `hil.planning.checks`;
+            infinite if the samples do not determine the parameters.
         duration_s: Estimated duration [s].
-        recording_bytes: Estimated size of the recording.
+        recording_bytes: Estimated size of the recording [bytes].
     """
     if math.isinf(condition_number):
         yield (
-            "the motion does not tell all parameters apart (infinite condition number): a fit "
+            "the motion does not determine all parameters (infinite condition number), so a fit "
             "will be refused; plan more poses or trajectories, or larger ranges"
         )
     elif condition_number > HIGHEST_CONDITION:

@@ -1,4 +1,4 @@
-"""The station's robot: opened, connected, and where it stands."""
+"""Access to the robot of a station: open, lease, connect and close the robot, and read its pose."""
 
 from __future__ import annotations
 
@@ -19,26 +19,28 @@ from hil.spec import StationRobot
 AT_SET_POINT_RAD = 0.01
 
 CLOSE_WITHIN_S = 15.0
-"""What a driver may take to let a robot go, its arm being at rest or on the way there [s]."""
+"""Maximum time for a driver to disconnect from a robot that is static or decelerating [s]."""
 
 
 @runtime_checkable
 class Simulated(Protocol):
-    """A robot that must be told how it is mounted: a real one feels it."""
+    """Interface of a simulated robot, whose mounting orientation has to be set."""
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
-        """Gravity in the base frame, before `connect`."""
+        """Set the gravity vector in the base frame [m/s²]; to be called before `connect`."""
 
 
 def open_robot(name: str, station_robot: StationRobot) -> Robot:
-    """The driver's robot, not yet connected; a simulated one is mounted as the station says.
+    """Return the robot that a driver creates, without connecting to it.
 
-    It may have a process of its own already: close it, even if it was never connected.
+    A simulated robot is set to the mounting orientation in the station file. The driver possibly
+    runs in a separate process, so the robot has to be closed even if it was never connected.
 
     Raises:
-        PluginError: There is no such driver, or it does not load.
-        SpecError: The driver does not accept the station's options, or they contradict its gravity.
-        RobotError: The process for it does not come up.
+        PluginError: The driver does not exist, or cannot be loaded.
+        SpecError: The driver does not accept the options of the station, or the options contradict
+            the gravity vector of the station.
+        RobotError: The separate process of the driver does not start.
     """
     if station_robot.own_process:
         return RobotProcess(
@@ -57,10 +59,10 @@ def open_robot(name: str, station_robot: StationRobot) -> Robot:
 
 @contextlib.contextmanager
 def opened(name: str, station_robot: StationRobot) -> Iterator[Robot]:
-    """What `open_robot` gives, closed on every way out.
+    """Open a robot, and close the robot when the context ends.
 
-    What goes wrong in closing is not raised: it would hide what happened before, or take a
-    finished run back. `close_robot` says what it was.
+    Errors while closing the robot are not raised, because they would hide an earlier error or
+    invalidate a completed run. `close_robot` returns the errors while closing as texts.
     """
     robot = open_robot(name, station_robot)
     try:
@@ -70,7 +72,7 @@ def opened(name: str, station_robot: StationRobot) -> Iterator[Robot]:
 
 
 def moves_for_real(experiment: Experiment) -> bool:
-    """Return whether the motion of an experiment has to be confirmed; nothing is connected.
+    """Return whether the motion of an experiment has to be confirmed, without connecting.
 
     Raises:
         SpecError, PluginError: The robot cannot be opened.
@@ -81,7 +83,7 @@ def moves_for_real(experiment: Experiment) -> bool:
 
 @contextlib.contextmanager
 def connected(name: str, station_robot: StationRobot) -> Iterator[Robot]:
-    """The robot, connected while inside and closed on every way out; see `opened`."""
+    """Open a robot, connect to it, and close it when the context ends; see `opened`."""
     with opened(name, station_robot) as robot:
         robot.connect()
         yield robot
@@ -96,18 +98,19 @@ def held(
     admit: Callable[[Robot], object] = lambda robot: None,
     robot: Robot | None = None,
 ) -> Iterator[tuple[Robot, Lease]]:
-    """The experiment's robot, connected and leased while inside: no other process has it.
+    """Lease the robot of an experiment for this process and connect to it, within the context.
 
     Args:
-        experiment: Says which robot of which station.
-        wait_s: How long to wait for another process to release it [s].
-        report: Called once with the current lease holder.
-        admit: Called with the robot before it is leased and connected; may refuse it by raising.
-        robot: The robot, if it is open already; else it is opened here.
+        experiment: Experiment, which names robot and station.
+        wait_s: Maximum time to wait until a different process releases the robot [s].
+        report: Callback that is called one time with the present lease holder.
+        admit: Callback that is called with the robot before leasing and connecting; raises an error
+            to refuse the robot.
+        robot: Robot that is already open; by default, this function opens the robot.
 
     Raises:
-        RobotConnectionError: Another process holds the robot, or it cannot be reached.
-        PluginError, SpecError, RobotError: See `open_robot`.
+        RobotConnectionError: A different process uses the robot, or the robot cannot be reached.
+        PluginError, SpecError, RobotError: The robot cannot be opened, see `open_robot`.
     """
     with contextlib.ExitStack() as until_closed:
         if robot is None:
@@ -125,7 +128,7 @@ def leased_and_connected(
     wait_s: float = 0.0,
     tell: Callable[[str], object] = lambda text: None,
 ) -> Iterator[Lease]:
-    """Lease an open robot, then connect it; release both in the opposite order."""
+    """Lease an open robot and connect to it; at the end, disconnect and release the lease."""
     name, station = experiment.spec.robot, experiment.station_source
     driver = experiment.robot.driver
     with leased(
@@ -135,28 +138,28 @@ def leased_and_connected(
             robot.connect()
             yield lease
         finally:
-            close_robot(robot)  # while it is still ours: whoever waits for it connects at once
+            close_robot(robot)  # before releasing the lease: a waiting process connects at once
 
 
 def close_robot(robot: Robot) -> list[str]:
-    """Close a robot (again, if need be); returns what went wrong."""
+    """Close a robot and return error messages; a robot that is already closed may be passed."""
     try:
         bounded(robot.close, CLOSE_WITHIN_S, "closing the robot")
-    except Exception as error:  # a driver may fail in any way it likes
+    except Exception as error:  # a driver may raise any error
         return [f"closing the robot: {error}"]
     return []
 
 
 def plan_for(experiment: Experiment, robot: Robot, watch: Watch = unwatched) -> Plan:
-    """The plan from where the robot stands now, at the robot's own rate.
+    """Return the plan that starts at the present pose of the robot, with the rate of the robot.
 
     Args:
-        experiment: Says what is wanted.
-        robot: Connected.
-        watch: Is told how far trajectories are that take long to compute.
+        experiment: Experiment with spec and station.
+        robot: Connected robot.
+        watch: Callback that receives the progress of long computations of trajectories.
 
     Raises:
-        PlanError: No safe plan follows from the spec.
+        PlanError: No safe plan exists for the spec.
     """
     newest = robot.read()[-1]
     return build_plan(
@@ -170,7 +173,11 @@ def plan_for(experiment: Experiment, robot: Robot, watch: Watch = unwatched) -> 
 
 
 def standing_at(row: np.void) -> FloatArray:
-    """The set-point the robot holds, or where it is when it holds none that makes sense."""
+    """Return the set-point that each joint of the robot holds.
+
+    If set-point and measured position of a joint differ by 0.01 rad or more, the measured position
+    is returned for this joint.
+    """
     q, target = np.array(row["q"]), np.array(row["q_target"])
     holds = np.abs(q - target) < AT_SET_POINT_RAD
     return np.where(holds, target, q)

@@ -1,4 +1,4 @@
-"""The space that the motions of a plan sweep, for the person who lets the robot go there."""
+"""Space swept by the motions of a plan, shown to the operator before the motion."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ from hil.dynamics import CapsuleChain
 from hil.planning.plan import Plan
 
 BLOCK = 16_384
-"""Joint positions per forward kinematics: enough to amortise it, few enough for the cache."""
+"""Number of joint positions in one forward-kinematics call; a call is efficient, and its data
+fit into the cache."""
 
 NOISE_DEG = 0.01
-"""An encoder's noise about a whole degree does not show as another degree."""
+"""Tolerance for rounding joint angles to whole degrees [deg], so that encoder noise has no
+effect."""
 
 
 class Box(NamedTuple):
-    """An axis-aligned box in base coordinates: its least and greatest corner, each (3,) [m]."""
+    """Axis-aligned box in base coordinates: minimum and maximum corner, each (3,) [m]."""
 
     low: FloatArray
     high: FloatArray
@@ -31,29 +33,29 @@ class Box(NamedTuple):
         return ", ".join(f"{axis} {text}" for axis, text in self.ranges())
 
     def ranges(self) -> list[tuple[str, str]]:
-        """Return each axis and its range as text."""
-        # Rounded outwards: nothing swept lies beyond the figures that are shown.
+        """Return the name of each axis and its range as text."""
+        # Rounded outwards, so that the displayed ranges contain the whole swept space.
         return [
             (axis, f"{math.floor(100 * a) / 100:.2f} to {math.ceil(100 * b) / 100:.2f} m")
             for axis, a, b in zip("xyz", self.low, self.high, strict=True)
         ]
 
     def to_dict(self) -> dict[str, list[float]]:
-        """Return the JSON form."""
+        """Return the JSON form of the box."""
         return {"min_m": self.low.tolist(), "max_m": self.high.tolist()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swept:
-    """Where a plan takes the arm.
+    """Space that the motions of a plan sweep.
 
     Attributes:
         duration_s: Estimated duration of the whole plan [s].
-        joint_names: Length n.
-        q_min, q_max: (n,) range of every joint [rad].
-        tool: Box of the flange and of every load whose size is known.
-        elbow: Box of the body of the elbow.
-        payload: Whether `tool` includes a load.
+        joint_names: Names of the n joints.
+        q_min, q_max: (n,) smallest and largest position of every joint [rad].
+        tool: Bounding box of the flange and of every load with a known size.
+        elbow: Bounding box of the body at the elbow.
+        payload: Whether the box `tool` includes a load.
     """
 
     duration_s: float
@@ -65,11 +67,11 @@ class Swept:
     payload: bool = False
 
     def lines(self) -> list[str]:
-        """Return plain text, one line per fact, in degrees, metres, minutes and seconds."""
+        """Return plain text with one line per entry, in degrees, metres, minutes and seconds."""
         return aligned(self.rows())
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the name and the text of every fact; see `lines`."""
+        """Return the name and the text of every entry; see `lines`."""
         return [
             ("duration", _minutes(self.duration_s)),
             *self._joints,
@@ -77,14 +79,14 @@ class Swept:
         ]
 
     def narrow_rows(self) -> list[tuple[str, str]]:
-        """Return the ranges of joints and boxes, each axis by itself, for narrow tables."""
+        """Return the ranges of joints and boxes, one row for each axis, for narrow tables."""
         boxes = [
             (f"{name} {axis}", text) for name, box in self._boxes for axis, text in box.ranges()
         ]
         return [*self._joints, *boxes]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form; radians and metres in base coordinates."""
+        """Return the JSON form, in radians, and in metres in base coordinates."""
         ranges = zip(self.joint_names, self.q_min.tolist(), self.q_max.tolist(), strict=True)
         return {
             "duration_s": self.duration_s,
@@ -106,17 +108,17 @@ class Swept:
 
 
 def aligned(rows: Sequence[tuple[str, str]]) -> list[str]:
-    """Return names and texts as lines of two columns."""
+    """Return pairs of name and text as lines of two columns."""
     wide = max(len(name) for name, _ in rows)
     return [f"{name.ljust(wide)}  {text}" for name, text in rows]
 
 
 def swept(plan: Plan, arm: ArmDescription) -> Swept:
-    """Return what the motions of a plan sweep, at every set-point and where the arm stands first.
+    """Return the space that the motions of a plan sweep, over all set-points and the initial pose.
 
     Args:
-        plan: Exactly what is executed.
-        arm: The arm it was planned for.
+        plan: Exactly the plan that will be executed.
+        arm: Arm for which the plan was computed.
     """
     sizes = [load.size_m for load in plan.loads if load.size_m is not None]
     flange = (0.0, 0.0, 0.0)
@@ -139,10 +141,11 @@ def swept(plan: Plan, arm: ArmDescription) -> Swept:
 
 
 def elbow_bodies(arm: ArmDescription) -> list[Capsule]:
-    """Return the ends of the upper arm's bodies at the axis of the elbow, as spheres.
+    """Return the end points of the upper-arm bodies at the elbow axis, as spheres.
 
-    The elbow is the joint in the middle: the third of six, the fourth of seven. An arm that is
-    described without a body there has a point on the axis.
+    The elbow axis is the middle joint: the third of six joints, the fourth of seven joints. If the
+    description of the arm has no body at the elbow axis, the returned sphere is a point on the
+    axis.
     """
     link = (arm.n_joints - 1) // 2
     bodies = [body for body in arm.capsules if body.link == link]
@@ -155,7 +158,7 @@ def elbow_bodies(arm: ArmDescription) -> list[Capsule]:
 
 
 def _boxes(plan: Plan, arm: ArmDescription, *groups: list[Capsule]) -> list[Box]:
-    """Return the box of each group of spheres that move with the links."""
+    """Return the bounding box of each group of spheres, which move with the links of the arm."""
     bodies = [body for group in groups for body in group]
     chain, radius = CapsuleChain(arm, bodies), np.array([body.radius for body in bodies])
     low, high = np.full((3, len(bodies)), np.inf), np.full((3, len(bodies)), -np.inf)
@@ -172,7 +175,7 @@ def _boxes(plan: Plan, arm: ArmDescription, *groups: list[Capsule]) -> list[Box]
 
 
 def _positions(plan: Plan) -> Iterator[FloatArray]:
-    """Yield every set-point and the first position as blocks (N, n) [rad]."""
+    """Yield the initial position and every set-point as blocks (N, n) [rad]."""
     yield plan.q_start[None]
     for motion in dict.fromkeys(plan.motions):
         q = motion.sample(plan.rate_hz).q

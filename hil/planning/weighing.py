@@ -1,7 +1,8 @@
-"""Where loads are weighed: a few poses at which mass and centre of mass show best.
+"""Poses of the payload check: the few poses that best determine mass and centre of mass of a load.
 
-A load is weighed by the torques it adds to those of the first load at the same poses, approached
-the same way: friction, and what is not known of the arm itself, cancel.
+The load is identified from the difference between its torques and the torques of the first load at
+the same poses with the same approach directions, so that friction and model errors of the arm
+cancel.
 """
 
 from __future__ import annotations
@@ -21,64 +22,74 @@ from hil.spec import ExperimentSpec
 APPROACH_DEG = 3.0
 
 DWELL_S = 1.0
-"""Long enough for the controller and the friction to come to rest: dwells of 0.1 s leave twice the
-error (on the mock: docs/explanation/weighing.md)."""
+"""Dwell time of the payload check [s], after which controller and friction are settled.
+
+Dwells of only 0.1 s double the error of the payload check (measured on the mock:
+docs/explanation/weighing.md).
+"""
 
 SETTLED_S = 0.2
-"""The last part of the dwell, whose samples are averaged."""
+"""Duration of the last part of the dwell, over which samples are averaged [s]."""
 SEED = 0
 
 BLOCKS = 8
-"""Blocks of poses that are drawn at most."""
+"""Maximum number of blocks of random poses that are drawn."""
 
 ENOUGH = 200
-"""Candidates among which the best poses differ little from the best of many more."""
+"""Number of candidate poses; with many more candidates, the best poses would differ only
+slightly."""
 
 FRICTION_SHARE = 0.003
-"""Standard deviation of what is left of friction, per torque limit: all there is to go by before
-the arm has moved. Measured on the mock; see docs/explanation/weighing.md."""
+"""Assumed standard deviation of the remaining friction, as a share of the torque limit.
+
+Before the arm has moved, no better estimate of the remaining friction exists. The friction share
+was measured on the mock; see docs/explanation/weighing.md.
+"""
 
 EFFORT_SHARE = 0.8
-"""Of the torque limits, for holding the heaviest load still."""
+"""Share of the torque limits that the arm may use to hold the heaviest load."""
 
 PRIOR = np.diag([1e-2, 1.0, 1.0, 1.0])
-"""Information there is without any pose: 10 kg, 1 kg·m. Makes single poses comparable."""
+"""Prior information matrix, without any pose: standard deviations of 10 kg and 1 kg·m.
+
+With the prior information, single poses can be compared with each other.
+"""
 
 
 def why_not_weighed(masses: Sequence[float], poses: int) -> str:
-    """Why a sweep over these masses [kg] is planned without weighing; empty when it is with."""
+    """Return why loads with these masses [kg] have no payload check; empty if they have one."""
     if max(masses) == min(masses):
-        return "there are no two loads of different mass"
+        return "all loads have the same mass"
     if masses[0] > min(masses):
         return "the first load, which the others are compared with, is not the lightest"
-    return "" if poses else "the spec switches weighing off"
+    return "" if poses else "the spec disables the payload check"
 
 
 def is_sweep(plan: Plan) -> bool:
-    """Whether loads differ in mass or centre of mass, so that one can be taken for another."""
+    """Return whether the loads differ in mass or centre of mass, so that they can be confused."""
     first = plan.loads[0].payload
     return not all(load.payload.agrees_with(first) for load in plan.loads)
 
 
 def why_plan_not_weighed(plan: Plan, robot: Capabilities) -> str:
-    """Why the loads of `plan` are not weighed on this robot; empty when they are."""
+    """Return why the loads of a plan are not checked on this robot; empty if they are checked."""
     planned = sum(step.kind == "weigh" for step in plan)
     if plan.whole is not None and not planned:
         return "this is a commissioning run"
     if reason := why_not_weighed([load.payload.mass for load in plan.loads], planned):
         return reason
     if robot.effort_kind == "current" and not len(robot.drive_gains):
-        return "the robot's drive gains are not known, so its currents are no torques"
+        return "the robot's drive gains are unknown, so its currents cannot be converted to torques"
     return ""
 
 
 def weigh_visits(
     spec: ExperimentSpec, arm: ArmDescription, gravity: Sequence[float], roadmap: Roadmap
 ) -> tuple[Visit, ...]:
-    """The visits at which every load is weighed, best first; none when nothing is to be weighed.
+    """Return the visits of the payload check, best pose first; empty if no load is checked.
 
     Raises:
-        PlanError: No clear pose can be held and approached.
+        PlanError: No collision-free pose can be approached and held with every load.
     """
     poses = spec.weigh.poses if spec.weigh else 0
     if why_not_weighed([load.mass_kg for load in spec.loads], poses):
@@ -97,19 +108,24 @@ def weigh_visits(
 
 
 def weigh_dwell(dwell: DwellRule, rate_hz: float) -> DwellRule:
-    """When a weighing dwell is over, `dwell` being the rule of the program's own dwells."""
+    """Return the end condition of a payload-check dwell.
+
+    Args:
+        dwell: End condition of the other dwells of the program.
+        rate_hz: Sample rate of the recording [Hz].
+    """
     samples = max(2, round(SETTLED_S * rate_hz))
     return DwellRule(DWELL_S, samples, dwell.settle_rad_s, DWELL_S + dwell.timeout_s)
 
 
 class _Candidates:
-    """Clear poses, taken one by one: each adds the most to what those before it tell (D-optimal).
+    """Collision-free candidate poses, selected one by one to maximise the information (D-optimal).
 
     Args:
-        arm: Its torque limits count.
-        gravity: (3,) in the base frame [m/s²].
-        loads: To be held at every pose.
-        roadmap: Has to lead to every pose.
+        arm: Description of the arm, including its torque limits.
+        gravity: (3,) gravity vector in the base frame [m/s²].
+        loads: Loads that the arm has to hold at every pose.
+        roadmap: Roadmap from which every pose has to be reachable.
     """
 
     def __init__(
@@ -134,11 +150,11 @@ class _Candidates:
 
     @property
     def why(self) -> str:
-        """Return what was in the way at the last pose that could not be visited."""
+        """Obstacle at the last pose that could not be visited; empty if every pose was visited."""
         return self._roadmap.workspace.obstacle(self._refused) if self._refused else ""
 
     def take_best(self, number: int) -> Visit | None:
-        """The visit to the best pose left that can be reached, as pose `number`."""
+        """Remove the best remaining reachable pose; return the visit to it as pose `number`."""
         for i in sorted(self._open, key=self._worth, reverse=True):
             self._open.remove(i)
             if visit := self._visit(self._q[i], number):
@@ -155,7 +171,7 @@ class _Candidates:
 
     def _visit(self, q: FloatArray, number: int) -> Visit | None:
         roadmap, delta = self._roadmap, float(np.radians(APPROACH_DEG))
-        label = f"weighing pose {number + 1}"
+        label = f"payload-check pose {number + 1}"
         visit = pose_visit(
             roadmap.workspace, q, "both", delta, label=label, kind="weigh", pose=number
         )
@@ -169,7 +185,7 @@ class _Candidates:
 
 
 def _drawn(roadmap: Roadmap) -> FloatArray:
-    """(N, n) clear poses that look as if ways lead there."""
+    """Return (N, n) collision-free poses that are probably connected to the roadmap."""
     drawn: list[FloatArray] = []
     blocks = draw_poses(roadmap.workspace, SEED, "payload-check poses")
     for block, _ in zip(blocks, range(BLOCKS), strict=False):

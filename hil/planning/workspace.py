@@ -1,4 +1,4 @@
-"""Where a spec's robot may be: its arm, what stands around it, and the ways through the rest."""
+"""Workspace of a spec's robot: the arm, its surroundings, and collision-free paths."""
 
 from __future__ import annotations
 
@@ -18,28 +18,35 @@ from hil.spec import Dwell, ExperimentSpec, Fourier, StationRobot, Surroundings
 ROADMAP_POSES = 48
 
 CONFINED_ROADMAP_POSES = 96
-"""Where the flange is confined fewer straight lines are clear: below a height of 0.5 m 48 poses
-connect 37 % of the clear ones of a UR5, 96 connect 50 %, and 144 no more."""
+"""Number of roadmap poses if the flange is confined, because fewer straight lines are then
+collision-free.
+
+Below a height of 0.5 m, 48 roadmap poses connect 37 % of the collision-free poses of a UR5, 96
+poses connect 50 %, and 144 poses do not connect more.
+"""
 
 MOST_WANTED = 48
-"""Poses of a program that a roadmap is about: every pair is looked at, and a file may have
-thousands."""
+"""Maximum number of program poses that a roadmap contains.
+
+The number is limited because every pair of poses is checked, and a waypoint file may contain
+thousands of poses.
+"""
 
 ROADMAP_SEED = 0
 
 
 def plannable_arm(station_robot: StationRobot) -> ArmDescription:
-    """The arm of a station's robot, once it is known that motions can be planned for it.
+    """Return the arm of a station's robot; raise if motions cannot be planned for the arm.
 
     Raises:
-        PlanError: Nobody knows its collision bodies.
+        PlanError: The description of the arm contains no collision bodies.
     """
     if not is_described(station_robot.model):
         raise PlanError(
-            f"no motion is planned for {station_robot.model}: "
-            "without collision bodies nobody can tell whether one is clear",
-            hint="`hil new own-urdf --urdf ARM.urdf` describes it with them; built in are "
-            f"{', '.join(arm_names())}",
+            f"no motion can be planned for {station_robot.model}, because its collision bodies "
+            "are unknown",
+            hint="create a description with collision bodies: hil new own-urdf --urdf ARM.urdf; "
+            f"built-in arms: {', '.join(arm_names())}",
         )
     return load_arm(station_robot.model)
 
@@ -47,7 +54,7 @@ def plannable_arm(station_robot: StationRobot) -> ArmDescription:
 def workspace_of(
     spec: ExperimentSpec, station_robot: StationRobot, arm: ArmDescription, rate_hz: float
 ) -> Workspace:
-    """Where the arm of an experiment may be and how fast, with the body of every load."""
+    """Return the workspace of an experiment's arm: ranges, speeds and the bodies of all loads."""
     excitation = spec.excitation
     low, high = draw_range(excitation, arm)
     loads = [(load.payload(), load.size_m) for load in spec.loads]
@@ -72,18 +79,20 @@ def workspace_of(
 def roadmap_of(
     workspace: Workspace, *, wanted: FloatArray | None = None, start: FloatArray | None = None
 ) -> Roadmap:
-    """Return the ways through a workspace; the same arguments give the same roadmap.
+    """Return a roadmap of a workspace; the same arguments give the same roadmap.
 
-    Where the flange is confined, poses drawn from the joint ranges may miss the configuration in
-    which the program is, or the robot stands. Without confinement only drawn poses count.
+    If the flange is confined, poses drawn from the joint ranges possibly miss the arm configuration
+    of the program or of the robot, so `wanted` and `start` are added to the roadmap. If the flange
+    is not confined, the roadmap contains only poses drawn from the joint ranges.
 
     Args:
-        workspace: Where the ways must be clear.
-        wanted: (k, n) poses that have to be reached [rad].
-        start: (n,) where the robot stands [rad].
+        workspace: Workspace in which the paths must be collision-free.
+        wanted: (k, n) poses that the program has to reach [rad].
+        start: (n,) present joint positions of the robot [rad].
 
     Raises:
-        PlanError: Hardly any pose is clear, no two are connected, or `start` is no pose.
+        PlanError: Too few poses are collision-free, no two poses are connected, or `start` is not a
+            valid pose.
     """
     if workspace.space is None:
         return Roadmap(workspace, roomy_poses(workspace, ROADMAP_POSES, ROADMAP_SEED))
@@ -104,12 +113,12 @@ def _require_pose(start: FloatArray, workspace: Workspace) -> None:
         raise PlanError(
             f"the robot's current pose is {start.tolist()}, "
             f"not {len(workspace.joint_names)} joint positions",
-            hint="see whether the robot is powered and its encoders are read",
+            hint="check that the robot is powered and its encoders are read",
         )
 
 
 def _some_clear(workspace: Workspace, q: FloatArray) -> FloatArray:
-    """Return clear ones of `q` (k, n) that differ, at most `MOST_WANTED`."""
+    """Return distinct collision-free poses from `q` (k, n), `MOST_WANTED` at most."""
     chosen: list[FloatArray] = []
     rows = np.linspace(0, len(q) - 1, min(len(q), MOST_WANTED)).round().astype(int)
     some = q[rows]
@@ -120,10 +129,10 @@ def _some_clear(workspace: Workspace, q: FloatArray) -> FloatArray:
 
 
 def poses_of_file(excitation: Dwell | Fourier, workspace: Workspace) -> FloatArray | None:
-    """Return the poses (N, n) [rad] of the file that a program is read from; None without one.
+    """Return the poses (N, n) [rad] of the waypoint file of a program; None without a file.
 
     Raises:
-        SpecError: The file cannot be read; see `read_waypoints`.
+        SpecError: The waypoint file cannot be read; see `read_waypoints`.
     """
     if not isinstance(excitation, Dwell) or excitation.file is None:
         return None
@@ -132,19 +141,20 @@ def poses_of_file(excitation: Dwell | Fourier, workspace: Workspace) -> FloatArr
 
 
 def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
-    """The pose (n,) [rad] the robot stands in, once it is known that it can leave it.
+    """Return the present pose (n,) [rad] of the robot; raise if the robot cannot leave this pose.
 
     Raises:
-        PlanError: It is no pose, touches something, or no clear path leads away from it.
+        PlanError: The present pose is invalid or in collision, or no collision-free path leads away
+            from it.
     """
     workspace = roadmap.workspace
     _require_pose(start, workspace)
     complaint = workspace.complaint(start)
-    ways = ["jog the robot to a pose with more room around it and plan again"]
+    ways = ["jog the robot to a pose with more free space and plan again"]
     if not complaint and roadmap.way(start, roadmap.home) is None:
         why = workspace.obstacle([workspace.line(start, roadmap.home)])
-        complaint = "no clear path leads from it to the poses of the program" + (
-            f"; on the straight one to the roomiest of them {why}" if why else ""
+        complaint = "no collision-free path leads from it to the poses of the program" + (
+            f"; on the straight path to the pose with the most free space: {why}" if why else ""
         )
         confined = workspace.space is not None
     else:
@@ -158,7 +168,7 @@ def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
             ways.append("move that side of the workspace interlock outwards")
         raise PlanError(
             f"the robot cannot leave its current pose safely: {complaint}",
-            hint=f"{', '.join(ways)}, or describe the station's surroundings as they are",
+            hint=f"{', '.join(ways)}, or correct the station's surroundings",
         )
     return start
 
@@ -168,10 +178,11 @@ def collision_model(
     surroundings: Surroundings,
     loads: Sequence[tuple[Payload, BodySize | None]],
 ) -> CollisionModel:
-    """Distances of the arm to itself, its surroundings and a body that holds every load.
+    """Return the collision model of an arm, its surroundings and a body that encloses all loads.
 
-    One body for all loads lets every load see the same program. Planning, preflight and interlocks
-    ask for the same model: it is built once and, as nothing in it changes, shared.
+    A single body represents all loads, so that the program is the same with every load. Planning,
+    preflight and interlocks use the same collision model. The collision model is built a single
+    time and shared, because it does not change.
     """
     capsules = [body for load, size in loads if (body := _capsule(load, size, arm.n_joints))]
     return _built(arm, _environment(surroundings), envelope(capsules) if capsules else None)
@@ -198,10 +209,10 @@ def _environment(surroundings: Surroundings) -> Environment:
 
 
 def envelope(capsules: Sequence[Capsule]) -> Capsule:
-    """One capsule that holds all of several that begin at the same point.
+    """Return one capsule that encloses several capsules with the same start point.
 
-    It takes the longest axis. Every other axis strays from it no further than its own end does,
-    distance to a convex set being convex.
+    The returned capsule has the longest of the axes. On every other axis, the end point is farthest
+    from the longest axis, because the distance to a convex set is a convex function.
     """
     ends = [np.array(capsule.b) for capsule in capsules]
     longest = max(ends, key=lambda end: float(end @ end))
@@ -214,24 +225,24 @@ def envelope(capsules: Sequence[Capsule]) -> Capsule:
 
 
 def _off_axis(point: FloatArray, end: FloatArray) -> float:
-    """Distance of `point` to the segment from the origin to `end`."""
+    """Return the distance of `point` to the segment from the origin to `end`."""
     squared = float(end @ end)
     along = min(max(float(point @ end) / squared, 0.0), 1.0) if squared > 0 else 0.0
     return float(np.linalg.norm(point - along * end))
 
 
 class Approach:
-    """Finds ways in the workspace of an experiment, within its speeds and clearances.
+    """Path search in the workspace of an experiment, within its speeds and clearances.
 
     Args:
-        spec: The experiment.
-        station_robot: Its robot and what stands around it.
-        rate_hz: The plan's rate.
-        here: (n,) where the arm stands [rad].
-        targets: (k, n) poses of the plan, where it may go on [rad].
+        spec: Spec of the experiment.
+        station_robot: Station entry of the robot, including its surroundings.
+        rate_hz: Rate at which the motions of the plan are sampled [Hz].
+        here: (n,) present joint positions [rad].
+        targets: (k, n) poses of the plan at which execution may resume [rad].
 
     Raises:
-        PlanError: The arm cannot leave that pose safely.
+        PlanError: The arm cannot leave its present pose without a collision.
     """
 
     def __init__(
@@ -249,16 +260,16 @@ class Approach:
         checked_start(here, self._roadmap)
 
     def way(self, here: FloatArray, target: FloatArray) -> Sequence[Line]:
-        """Clear lines from one joint position (n,) to another [rad].
+        """Return collision-free lines from one joint position (n,) to another [rad].
 
         Raises:
-            PlanError: There are none.
+            PlanError: No collision-free path exists between the positions.
         """
         lines = self._roadmap.way(here, target)
         if lines is None:
             raise PlanError(
-                f"no clear path leads from {_degrees(here)} to {_degrees(target)}",
-                hint="jog the robot to a pose with more room around it and resume from there",
+                f"no collision-free path leads from {_degrees(here)} to {_degrees(target)}",
+                hint="jog the robot to a pose with more free space and resume from there",
             )
         return lines
 

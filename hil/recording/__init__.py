@@ -1,4 +1,4 @@
-"""MCAP recording, columnar reading and the run directory."""
+"""Recording of runs in MCAP files, reading of recordings into arrays, and the run directory."""
 
 import lazy_loader
 

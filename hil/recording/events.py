@@ -1,7 +1,8 @@
-"""The event log of a run: state changes, checkpoints, prompts, trips; one JSON object a line.
+"""Event log of a run: state changes, checkpoints, prompts, trips; one JSON object per line.
 
-Lines are written and fsynced as they come by a thread of the log's own, so `append` costs the
-control thread no file work, and the death of the recorder can still be logged.
+A separate thread writes the lines and syncs the file, so that `append` causes no file access in the
+control thread. Because the event log is separate from the recorder, a failure of the recorder can
+still be logged.
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ _BEGINNING = b'{"t": '
 
 
 class EventLog:
-    """Appends events to a `.jsonl` file, in the order of the calls, from any thread.
+    """Event log that appends events to a `.jsonl` file, in call order and from any thread.
 
     Args:
-        path: The file; created when missing, continued after a crash.
+        path: Path of the log file; a missing file is created, and an existing file is continued
+            after a crash.
 
     Raises:
-        RecordingError: The file cannot be opened for appending.
+        RecordingError: The log file cannot be opened for appending.
     """
 
     def __init__(self, path: Path) -> None:
@@ -39,12 +41,12 @@ class EventLog:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
             size = os.fstat(self._descriptor).st_size
             if size and os.pread(self._descriptor, 1, size - 1) != b"\n":
-                os.write(self._descriptor, b"\n")  # ends a line that a crash has torn
+                os.write(self._descriptor, b"\n")  # terminates a line that a crash has torn
             fsync_directory(self.path.parent)
         except OSError as error:
             raise RecordingError(
                 f"cannot open {path}: {error.strerror or error}",
-                hint="see whether the folder may be written to and the disk has room",
+                hint="check that the folder is writable and that the disk has free space",
             ) from error
         self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._error: OSError | None = None
@@ -53,14 +55,14 @@ class EventLog:
         self._thread.start()
 
     def append(self, kind: str, /, **data: Any) -> Mapping[str, Any]:
-        """Log that something happened; return the event, for `Recorder.put_event` and observers.
+        """Log an event and return it for `Recorder.put_event` and observers.
 
         Args:
-            kind: What happened, such as `state`, `checkpoint`, `trip`.
-            **data: Anything JSON can hold; arrays and paths are converted.
+            kind: Kind of the event, such as `state`, `checkpoint`, `trip`.
+            **data: Any JSON data; arrays and paths are converted.
 
         Raises:
-            RecordingError: An earlier line could not be written, or the log is closed.
+            RecordingError: An earlier event could not be written, or the log is closed.
         """
         now = time.time()
         stamp = datetime.fromtimestamp(now, UTC).isoformat(timespec="milliseconds")
@@ -71,10 +73,12 @@ class EventLog:
         return event
 
     def close(self, timeout_s: float = 10.0) -> None:
-        """Wait until every line is on the disk. Idempotent.
+        """Wait until every logged event is on the disk.
+
+        Idempotent.
 
         Raises:
-            RecordingError: A line could not be written, or the disk took longer than that.
+            RecordingError: An event could not be written, or the disk needed more than `timeout_s`.
         """
         if not self._closed:
             self._closed = True
@@ -98,12 +102,15 @@ class EventLog:
         if self._error is not None:
             return RecordingError(
                 f"cannot write {self.path}: {self._error.strerror or self._error}",
-                hint="mend or free the disk",
+                hint="free space on the disk, or repair it",
             )
         return RecordingError(f"the event log {self.path} is closed")
 
     def _waiting(self) -> list[bytes]:
-        """Return every line there is, at least one; none at the end. They share one fsync."""
+        """Return all queued lines, at least one, for a single fsync.
+
+        The returned list is empty only after the log is closed.
+        """
         lines: list[bytes] = []
         while not self._ended and (not lines or not self._lines.empty()):
             line = self._lines.get()
@@ -127,22 +134,22 @@ class EventLog:
 
 
 def read_events(path: Path) -> list[dict[str, Any]]:
-    """Return the events of a log, in order, without lines that a crash or an edit spoilt.
+    """Return the events of a log in order, without lines damaged by a crash or an edit.
 
     Raises:
-        DataError: The file cannot be read.
+        DataError: The log file cannot be read.
     """
     return [event for event in map(_event_of, _lines_of(path)) if event is not None]
 
 
 def foreign_lines(path: Path) -> int:
-    """Return how many lines of a log are no events, and not what a crash leaves of one either.
+    """Return the number of damaged lines of a log, without lines torn by a crash.
 
     Raises:
-        DataError: The file cannot be read.
+        DataError: The log file cannot be read.
     """
     spoilt = (line for line in _lines_of(path) if line.strip() and _event_of(line) is None)
-    # A torn event begins as every event does, and has no end.
+    # A torn event has the common beginning of all events and no closing brace.
     return sum(
         line[: len(_BEGINNING)] != _BEGINNING[: len(line)] or line.endswith(b"}") for line in spoilt
     )
@@ -156,7 +163,7 @@ def _lines_of(path: Path) -> list[bytes]:
     except OSError as error:
         raise DataError(
             f"cannot read {path}: {error.strerror or error}",
-            hint="see whether it exists and may be read",
+            hint="check that the file exists and is readable",
         ) from error
 
 

@@ -1,15 +1,16 @@
-"""Reads recordings straight into numpy, chunk by chunk, without decoding a single message.
+"""Reading of recordings into numpy arrays, chunk by chunk, without decoding single messages.
 
-Only fixed-size CDR messages can be read this way: those of this package, and any other topic
-whose ROS 2 definition has neither strings nor sequences.
+Only fixed-size CDR messages can be read: the messages of this package, and every other topic whose
+ROS 2 definition contains neither strings nor sequences.
 
-All messages of one topic become one structured array. Where they are in a chunk is known from its
-message indexes; a gather over the chunk's bytes lifts them out as rows. No checksum covers the
-indexes, so what a row's head says is compared with what it must be, and the summary's count with
-what was read; an index that is missing or wrong is replaced by a walk through the chunk. Recordings
-that are flushed ten times a second have small chunks, so chunks are put together until the work in
-numpy is worth its calls. When something in such a batch is not as it should be, its chunks are
-looked at one by one.
+All messages of one topic are returned as one structured array. The message indexes of a chunk
+contain the positions of its messages; one numpy operation copies all messages of a topic from the
+bytes of the chunk. No checksum protects the message indexes: the header of every message is
+therefore verified, and the number of rows is compared with the count in the summary of the file. If
+a message index is missing or wrong, the reader walks through all records of the chunk instead.
+Recordings that are flushed ten times per second have small chunks, so several chunks are joined
+into a batch to reduce the number of numpy calls. If a batch of chunks contains an error, its chunks
+are read one by one.
 """
 
 from __future__ import annotations
@@ -51,24 +52,26 @@ from hil.robot import CDR_HEADER, STATE_SCHEMA_VERSION, STATE_TOPIC, dtype_of_sc
 
 _BATCH_BYTES = 1 << 20
 _MESSAGE_HEAD = np.dtype([*MESSAGE_FIELDS, ("cdr", "<u4")])
-"""What stands before a fixed-size row: record header, message header, CDR header."""
+"""Number of bytes before the data of a fixed-size row: record header, message header and CDR
+header."""
 
 _LENGTH_BEFORE_ROW = _MESSAGE_HEAD.itemsize - RECORD_HEADER.size
 _CDR = int.from_bytes(CDR_HEADER, "little")
 _LOOSE = -1
-"""The unit of all messages outside chunks."""
+"""Unit number that denotes all messages outside chunks."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """One topic of a recording.
+    """Properties of one topic of a recording: message count, dtype and metadata.
 
     Attributes:
         name: Topic name.
-        messages: Number of messages that can be read.
-        schema_name: ROS 2 message name.
-        dtype: The rows `read_topic` gives, None when messages differ in size.
-        metadata: `schema_version`, `rate_hz`, `clock`, `unit.<field>` as text.
+        messages: Number of messages of the topic that can be read.
+        schema_name: Name of the ROS 2 message definition.
+        dtype: Dtype of the rows that `read_topic` returns; None if the messages have no fixed size.
+        metadata: Metadata of the topic as text: `schema_version`, `rate_hz`, `clock`,
+            `unit.<field>`.
     """
 
     name: str
@@ -80,16 +83,17 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class RecordingInfo:
-    """What is in a recording, found without reading its samples.
+    """Overview of the content of a recording, determined without reading samples.
 
     Attributes:
-        path: The file.
-        complete: False for a torn or spoilt file; the rest then describes what is left of it.
-        tear: Where and how it is torn or spoilt, empty when complete.
-        chunks: Number of whole chunks.
-        topics: Topic name → what it holds.
-        metadata: Named records of text → text.
-        attachments: Files carried along, by name.
+        path: Path of the recording.
+        complete: Whether the recording file is complete and undamaged. For incomplete or damaged
+            files, the remaining attributes describe the readable part.
+        tear: Position and kind of the damage as text; empty if the file is complete.
+        chunks: Number of complete chunks in the file.
+        topics: Map from topic name to the properties of the topic.
+        metadata: Metadata records (text → text) by record name.
+        attachments: Contents of the attached files by file name.
     """
 
     path: Path
@@ -102,26 +106,27 @@ class RecordingInfo:
 
 
 def read_topic(path: Path, topic: str = STATE_TOPIC, *, salvage: bool = False) -> StructArray:
-    """Return all rows of a topic in the order they were written, bit for bit.
+    """Return all rows of a topic of a recording in the order of writing, bit for bit.
 
     Args:
-        path: An MCAP file.
+        path: Path of an MCAP file.
         topic: Topic name.
-        salvage: Read what is whole in a torn or damaged file instead of refusing it.
+        salvage: Whether to return the undamaged rows of a torn or damaged file instead of raising
+            an error.
 
     Raises:
-        DataError: The file is missing, no MCAP, torn, damaged, or from a newer hil; or the topic
-            is missing or not of fixed size.
+        DataError: The file is missing, not an MCAP file, torn, damaged, or from a newer version of
+            hil; or the topic is missing or its messages have no fixed size.
     """
     with _opened(path) as recording:
         return _rows_of(recording, topic, salvage=salvage)
 
 
 def read_info(path: Path) -> RecordingInfo:
-    """Return what is in a recording; torn files are described as far as they go.
+    """Return the content of a recording; for a torn file, the content before the tear.
 
     Raises:
-        DataError: The file is missing, no MCAP, or from a newer hil.
+        DataError: The file is missing, not an MCAP file, or from a newer version of hil.
     """
     with _opened(path) as recording:
         layout = recording.layout
@@ -141,12 +146,13 @@ def read_info(path: Path) -> RecordingInfo:
 
 
 def recorded_s(recordings: Iterable[Path]) -> float:
-    """Return the device time from the first to the last sample of every attempt, added up [s].
+    """Return the total device time of all attempts, from first to last sample [s].
 
-    Only the first and the last samples are read.
+    Only the first and the last samples of each attempt are read.
 
     Args:
-        recordings: `RunDirectory.recordings`; what cannot be read counts nothing.
+        recordings: Paths of the files, as in `RunDirectory.recordings`; unreadable files count as 0
+            s.
     """
     total = 0.0
     for _, files in groupby(recordings, attempt_of):
@@ -164,12 +170,12 @@ def _opened(path: Path) -> Iterator[_Recording]:
     except OSError as error:
         raise DataError(
             f"cannot read {path}: {error.strerror or error}",
-            hint="see whether it exists and may be read",
+            hint="check that the file exists and is readable",
         ) from error
     except MemoryError:
         raise DataError(
-            f"{path} asks for more memory than there is",
-            hint="the file is damaged: hil recover FILE makes whole what is left",
+            f"reading {path} requires more memory than is available",
+            hint="the file is damaged: recover its messages with: hil recover FILE",
         ) from None
 
 
@@ -190,7 +196,7 @@ def _topic_info(recording: _Recording, topic: str) -> TopicInfo:
 
 
 def _span(path: Path) -> tuple[float, float] | None:
-    """Return the device time of the first and the last sample [s]; None where none is whole."""
+    """Return the device times of the first and last samples [s], or None without samples."""
     try:
         with path.open("rb") as file:
             recording = _Recording(file, path)
@@ -204,10 +210,10 @@ def _span(path: Path) -> tuple[float, float] | None:
 
 
 def _first_times(recording: _Recording, units: Iterable[int]) -> FloatArray | None:
-    """Return the device times in the first of these units that has any."""
+    """Return the device times in the first of these units that contains samples."""
     channels = recording.channels_of(STATE_TOPIC)
     dtype = recording.dtype_of(channels[0])
-    if "device_time" not in (dtype.names or ()):  # another tool's topic of the same name
+    if "device_time" not in (dtype.names or ()):  # topic of a different tool with the same name
         return None
     of_topic = _mask_of(channels)
     for unit in units:
@@ -224,25 +230,26 @@ def _first_times(recording: _Recording, units: Iterable[int]) -> FloatArray | No
     return None
 
 
-# All messages of a topic as one array.
+# Reading of all messages of a topic as one array.
 
 
 def _rows_of(recording: _Recording, topic: str, *, salvage: bool) -> StructArray:
-    """Return all rows of a topic, in file order; `salvage` skips what is torn or damaged.
+    """Return all rows of a topic in file order; `salvage` skips torn and damaged parts.
 
     Raises:
-        DataError: The topic is missing or has no fixed size, or the file is torn or damaged.
+        DataError: The topic is missing or has no fixed message size, or the file is torn or
+            damaged.
     """
     if salvage and not recording.layout.complete:
-        recording.distrust_indexes()  # and find what the chunks say about channels
+        recording.distrust_indexes()  # and read the channel definitions in the chunks
     named = recording.channels_of(topic)
-    # A channel without messages may be one whose definition was spoilt outside the chunks.
+    # A channel without messages possibly has a damaged definition outside the chunks.
     channels = [channel for channel in named if recording.count([channel])] or named
     dtype = recording.dtype_of(channels[0])
     if any(recording.dtype_of(channel) != dtype for channel in channels):
         raise DataError(
-            f"{recording.path}: the messages of {topic} are of several kinds",
-            hint="the recording is damaged, or several were put into one file",
+            f"{recording.path}: the messages of {topic} have different types",
+            hint="the recording is damaged, or contains several recordings",
         )
     if not salvage and recording.tear:
         raise DataError(
@@ -255,11 +262,11 @@ def _rows_of(recording: _Recording, topic: str, *, salvage: bool) -> StructArray
     promised = recording.promised(channels)
     if promised is None or len(rows) == promised:
         return rows
-    # Message indexes have no checksum: a wrong one hides messages without any other sign.
+    # Message indexes have no checksum: only the count reveals messages that a wrong index omits.
     if not salvage:
         raise DataError(
             f"{recording.path} is damaged: its summary counts {promised} messages of {topic}, "
-            f"its message indexes {len(rows)}",
+            f"but its message indexes count {len(rows)}",
             hint=_hint_of_damage(recording.path),
         )
     recording.distrust_indexes()
@@ -278,20 +285,20 @@ def _filled(expected: int, dtype: np.dtype[Any], blocks: Iterator[StructArray]) 
 
 def _hint_of_damage(path: Path) -> str:
     return (
-        f"hil recover {path} makes a whole file of what is left; "
-        "read_topic(…, salvage=True) reads it"
+        f"recover the undamaged messages with: hil recover {path}; "
+        "or read them with read_topic(…, salvage=True)"
     )
 
 
 @dataclass(frozen=True)
 class _Lift:
-    """Lifts the rows of a topic out of a recording, block by block.
+    """Extraction of the rows of a topic from a recording, block by block.
 
     Attributes:
-        recording: The open file.
-        of_topic: (65536,) true for the channel ids that belong to the topic.
-        dtype: What a row must be.
-        salvage: Skip what is damaged instead of raising.
+        recording: The open recording from which rows are read.
+        of_topic: (65536,) mask that is true for the channel ids that belong to the topic.
+        dtype: Dtype that the rows must have.
+        salvage: Whether to skip damaged chunks instead of raising an error.
     """
 
     recording: _Recording
@@ -300,7 +307,7 @@ class _Lift:
     salvage: bool
 
     def blocks(self) -> Iterator[StructArray]:
-        """Yield the rows of one batch of units after the other."""
+        """Yield the rows of the topic for each batch of units."""
         batch: list[tuple[int, bytes, IntArray]] = []
         size = 0
         for unit in self.recording.units:
@@ -347,7 +354,7 @@ class _Lift:
 
 
 def _mask_of(channels: Sequence[Channel]) -> BoolArray:
-    """Return (65536,) true for the ids of these channels."""
+    """Return a (65536,) mask that is true for the numbers of these channels."""
     mask = np.zeros(1 << 16, np.bool_)
     mask[[channel.id for channel in channels]] = True
     return mask
@@ -359,13 +366,13 @@ def _rows_at(
     """Return the rows of the messages at `offsets`, as raw `V{itemsize}` records.
 
     Args:
-        data: Content of a chunk, or of several behind each other.
-        offsets: (N,) where the message records begin, ascending.
-        of_topic: (65536,) true for the channel ids that belong to the topic.
-        dtype: What a row must be.
+        data: Decompressed content of one chunk, or of several joined chunks.
+        offsets: (N,) positions of the message records in `data`, ascending.
+        of_topic: (65536,) mask that is true for the channel ids that belong to the topic.
+        dtype: Dtype that the rows must have.
 
     Raises:
-        Torn: Something else than fixed-size CDR messages of the topic stands there.
+        Torn: A record at one of the offsets is not a fixed-size CDR message of the topic.
     """
     size = dtype.itemsize
     room = len(data) - _MESSAGE_HEAD.itemsize - size
@@ -384,22 +391,23 @@ def _rows_at(
 
 
 def _at(data: bytes, offsets: IntArray, size: int) -> StructArray:
-    """Copy `size` bytes from each offset: a gather over all overlapping windows."""
+    """Return copies of `size` bytes from each offset, gathered over all overlapping windows."""
     windows: StructArray = np.ndarray(len(data) - size + 1, f"V{size}", data, strides=(1,))
     return windows[offsets]
 
 
 class _Recording:
-    """An open MCAP file whose records have been found; torn files are known up to the tear.
+    """MCAP file opened for reading, with the positions of its records.
 
-    What can be read on its own is a *unit*: a chunk, or all messages outside chunks together.
+    Torn files are read up to the first damaged record. A *unit* is a part of an MCAP file that can
+    be read separately: one chunk, or all messages outside chunks together.
 
     Args:
-        file: The open file.
-        path: Its name, for messages.
+        file: The open MCAP file.
+        path: Name of the file, used in error messages.
 
     Raises:
-        DataError: It is no MCAP file, or was written by a newer hil.
+        DataError: The file is not an MCAP file, or was written by a newer version of hil.
     """
 
     def __init__(self, file: IO[bytes], path: Path) -> None:
@@ -419,11 +427,14 @@ class _Recording:
 
     @property
     def tear(self) -> str:
-        """Where and why the file ends too early or is spoilt, empty when it is neither."""
+        """Position and kind of the damage of the file; empty if the file is not damaged."""
         return self.layout.problem
 
     def channels_of(self, topic: str) -> list[Channel]:
-        """Return the channels of a topic. Raises `DataError` when there is none."""
+        """Return all channels of a topic.
+
+        Raises `DataError` if no channel of the file belongs to the topic.
+        """
         channels = self.layout.channels.values()
         found = [channel for channel in channels if channel.topic == topic]
         if not found:
@@ -435,7 +446,7 @@ class _Recording:
         return found
 
     def count(self, channels: Sequence[Channel]) -> int:
-        """Return how many messages of these channels stand in whole chunks."""
+        """Return the number of messages of these channels in undamaged chunks."""
         ids = [channel.id for channel in channels]
         walked = sum(len(found[i]) for found in self._walked.values() for i in ids if i in found)
         indexed = (
@@ -448,15 +459,15 @@ class _Recording:
         return walked + sum(indexed)
 
     def promised(self, channels: Sequence[Channel]) -> int | None:
-        """Return how many messages of these channels the summary counts, None without one."""
+        """Return the message count of these channels in the summary; None without summary."""
         counts = self.layout.counts
         return None if counts is None else sum(counts.get(c.id, 0) for c in channels)
 
     def dtype_of(self, channel: Channel) -> np.dtype[Any]:
-        """Return the dtype of a channel's messages.
+        """Return the numpy dtype of the messages of a channel.
 
         Raises:
-            DataError: They are not fixed-size CDR, or of a newer schema version.
+            DataError: The messages are not fixed-size CDR messages, or have a newer schema version.
         """
         if channel.topic == STATE_TOPIC and "schema_version" in channel.metadata:
             where = Path(f"{self.path}:{channel.topic}")
@@ -466,7 +477,7 @@ class _Recording:
         if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
             raise DataError(
                 f"{self.path}: {channel.topic} is not CDR with a ROS 2 definition",
-                hint="hil reads recordings of its own; import others: hil import",
+                hint="hil reads its own recordings only; convert others with: hil import",
             )
         try:
             return dtype_of_schema(schema.data.decode("utf-8", "replace"))
@@ -478,11 +489,14 @@ class _Recording:
 
     @property
     def units(self) -> list[int]:
-        """All units."""
+        """Numbers of all units of the file."""
         return [*range(len(self.layout.chunks)), *([_LOOSE] if self.layout.loose else [])]
 
     def content(self, unit: int) -> bytes:
-        """Return the records of a unit, decompressed. Raises `Torn` when it is damaged."""
+        """Return the decompressed records of one unit of the file.
+
+        Raises `Torn` if the unit of the file is damaged.
+        """
         if unit in self._damage:
             raise Torn(self._damage[unit])
         if unit != _LOOSE:
@@ -494,11 +508,11 @@ class _Recording:
         return b"".join(records)
 
     def offsets(self, unit: int, of_topic: BoolArray) -> IntArray:
-        """Return where a topic's messages are in a unit's content, in any order.
+        """Return the positions of the messages of a topic in the content of a unit, unsorted.
 
         Args:
-            unit: One of `units`.
-            of_topic: (65536,) true for the channel ids that belong to the topic.
+            unit: Number of the unit, one of `units`.
+            of_topic: (65536,) mask that is true for the channel ids that belong to the topic.
         """
         if unit in self._walked:
             found = [walked for i, walked in self._walked[unit].items() if of_topic[i]]
@@ -514,24 +528,27 @@ class _Recording:
         return np.concatenate(found) if found else np.empty(0, np.int64)
 
     def distrust_index(self, unit: int) -> None:
-        """Find a unit's messages by walking through it: checksums do not cover indexes."""
+        """Locate the messages of a unit record by record instead of by its index.
+
+        The message index is not used, because no checksum protects it.
+        """
         if unit not in self._walked:
             self._walk(unit)
 
     def distrust_indexes(self) -> None:
-        """Do the same for every unit that is whole."""
+        """Locate the messages of every undamaged unit record by record."""
         for unit in self.units:
             if unit not in self._damage:
                 self.distrust_index(unit)
 
     def place_of(self, unit: int) -> str:
-        """Return where a unit is, for messages."""
+        """Return the position of a unit as text for error messages."""
         if unit == _LOOSE:
             return "a message outside chunks"
         return f"chunk {unit} at byte {self.layout.chunks[unit].offset}"
 
     def _walk(self, unit: int) -> None:
-        """Find a unit's messages, and what it says about channels, record by record."""
+        """Locate messages and read channel definitions of a unit record by record."""
         schemas, channels = [], []
         offsets: defaultdict[int, list[int]] = defaultdict(list)
         try:

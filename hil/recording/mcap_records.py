@@ -1,13 +1,13 @@
-"""The records of an MCAP file: how they are laid out, and which of them are whole.
+"""Parsing of the records of an MCAP file, and detection of the intact records.
 
-Format: mcap.dev/spec, version 0. `scan` walks over the records of a file without decompressing
-anything. One forward pass serves finished files and torn ones alike, because it does not rely on
-the footer: what a crash cuts off is the end. Every length is checked against the file before it is
-used, so garbage cannot ask for absurd amounts of memory.
+The file format is specified at mcap.dev/spec, version 0. `scan` walks over the records of a file
+without decompressing data. A single forward pass handles finished and torn files, because the pass
+does not need the footer, which a crash cuts off. Every record length is compared with the file size
+before use, so that invalid bytes cannot cause huge memory allocations.
 
-Messages stand in chunks, which are compressed and checksummed: `read_chunk` opens one and
-`records_in` walks over what it holds. Whatever is no record raises `Torn`, which says why; readers
-turn it into an error or leave that piece out.
+Messages are stored in chunks, which are compressed and have a checksum: `read_chunk` decompresses a
+chunk and `records_in` walks over its records. Invalid bytes raise `Torn` with the reason; readers
+convert `Torn` into an error or skip the invalid part.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from hil.core import DataError
 from hil.recording.recording_files import PARTIAL_SUFFIX, hint_of_lost, run_of
 
 MAGIC = b"\x89MCAP0\r\n"
-"""Stands at the beginning and at the end of a file."""
+"""Magic bytes at the beginning and at the end of an MCAP file."""
 
 RECORD_HEADER = struct.Struct("<BQ")
-"""Opcode, length of the content."""
+"""Format of a record header: opcode, length of the content [bytes]."""
 
 MESSAGE_FIELDS = [
     ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
     ("log_time", "<u8"), ("publish_time", "<u8"),
 ]  # fmt: skip
-"""What stands before the data of a message, record header included, as fields for numpy."""
+"""Numpy fields of a message record before the data, including the record header."""
 
 CHUNK_TIMES = struct.Struct("<QQ")
-"""First and last log time [ns], at the beginning of a chunk."""
+"""Format of the first and last log time [ns] at the beginning of a chunk."""
 
 INDEX_HEADER = struct.Struct("<HI")
-"""Channel, length of the entries; at the beginning of a message index."""
+"""Format of the header of a message index: channel id, length of the entries [bytes]."""
 
 INDEX_ENTRY_BYTES = 16
 CHECKSUM_BYTES = 4
@@ -72,19 +72,19 @@ _Record = TypeVar("_Record")
 
 
 class Torn(Exception):
-    """The bytes from here on are no record: `args[0]` says why."""
+    """Error for bytes that are not a valid MCAP record; `args[0]` contains the reason."""
 
 
 @dataclass(slots=True)
 class ChunkSpan:
-    """Where a chunk and its message indexes are.
+    """Position of a chunk and of its message indexes in the file.
 
     Attributes:
-        offset, length: The chunk record's content, in bytes of the file.
-        first_ns, last_ns: Range of its messages' log times [ns].
-        indexes: Channel id → (offset, number of messages) of its index entries.
-        doubtful: One of its message indexes cannot be right.
-        indexed: Whether all its message indexes are there and none is doubtful.
+        offset, length: Position and length of the content of the chunk record in the file [bytes].
+        first_ns, last_ns: Range of the log times of the messages [ns].
+        indexes: Map from channel id to (offset, number of messages) of the index entries.
+        doubtful: Whether at least one message index of the chunk is invalid.
+        indexed: Whether all message indexes of the chunk are present and valid.
     """
 
     offset: int
@@ -98,16 +98,17 @@ class ChunkSpan:
 
 @dataclass(slots=True)
 class Layout:
-    """What a pass over the file has found.
+    """Result of a single pass over the records of a file.
 
     Attributes:
-        complete: The footer and the closing magic are there.
-        good_bytes: Up to where the file consists of whole records.
-        size: Length of the file.
-        tear: Why the pass ended before the footer, empty if it did not.
-        spoilt: Records that are there but cannot be read, in words.
-        counts: Channel id → messages, as the summary says; None without one that can be believed.
-        loose: (offset, length) of messages outside chunks.
+        complete: Whether the footer and the closing magic bytes are present.
+        good_bytes: Length of the part of the file that consists of complete records [bytes].
+        size: Length of the whole file [bytes].
+        tear: Reason why the pass ended before the footer; empty if the footer was reached.
+        spoilt: Descriptions of the unreadable records in the file.
+        counts: Number of messages per channel id according to the summary; None without a valid
+            summary.
+        loose: Positions (offset, length) of the messages outside chunks.
     """
 
     size: int
@@ -126,35 +127,36 @@ class Layout:
 
     @property
     def problem(self) -> str:
-        """Where and why the file is torn or spoilt, empty when it is neither."""
+        """Position and kind of the damage of the file; empty if the file is not damaged."""
         if not self.complete:
             return f"torn at byte {self.good_bytes} of {self.size}: {self.tear}"
         return f"damaged: {'; '.join(self.spoilt)}" if self.spoilt else ""
 
 
 def scan(file: IO[bytes], path: Path, *, places: bool = True) -> Layout:
-    """Find all records.
+    """Return the positions of all records of an MCAP file.
 
     Args:
-        file: The open file.
-        path: Its name, for messages.
-        places: Keep the attachments, and where every chunk and every message outside chunks is;
-            without, the layout of a file of any size is small.
+        file: The open MCAP file.
+        path: Name of the file, used in error messages.
+        places: Whether to store the attachments and the positions of all chunks and of all messages
+            outside chunks. If `places` is false, the returned layout needs little memory for files
+            of any size.
 
     Raises:
-        DataError: The file is no MCAP file at all.
+        DataError: The file is not an MCAP file.
     """
     layout = Layout(size=file.seek(0, 2))
     file.seek(0)
     if file.read(len(MAGIC)) != MAGIC:
         if run_of(path) is not None:
             raise DataError(
-                f"{path} is not an MCAP file any more: its beginning is lost",
+                f"{path} is no longer an MCAP file: its first bytes are lost",
                 hint=hint_of_lost(path),
             )
         raise DataError(
             f"{path} is not an MCAP file: it does not begin with the MCAP magic bytes",
-            hint="other formats are read by `hil import`",
+            hint="convert other formats with `hil import`",
         )
     layout.good_bytes = len(MAGIC)
     try:
@@ -170,21 +172,25 @@ def scan(file: IO[bytes], path: Path, *, places: bool = True) -> Layout:
 
 
 def _take_next(file: IO[bytes], layout: Layout) -> None:
-    """Read the record behind the whole ones. Raises `Torn` when none is there."""
+    """Read the next record of the file.
+
+    Raises `Torn` if the next bytes are not a valid record.
+    """
     file.seek(layout.good_bytes)
     head = file.read(RECORD_HEADER.size)
     if len(head) < RECORD_HEADER.size:
-        raise Torn("it ends without a footer")
+        raise Torn("the file ends without a footer")
     opcode, length = RECORD_HEADER.unpack(head)
     offset = layout.good_bytes + RECORD_HEADER.size
     if opcode == 0:
-        raise Torn("zeros where a record should be")
+        raise Torn("zeros instead of a record")
     if length > layout.size - offset:
-        raise Torn("it ends within a record")
+        raise Torn("the file ends within a record")
     if opcode == Opcode.MESSAGE_INDEX:
         _take_index(file, layout, offset, length)
     else:
-        if layout.chunks:  # message indexes follow their chunk: all of them have been seen
+        # message indexes follow their chunk, so all indexes of the chunk have been read
+        if layout.chunks:
             last = layout.chunks[-1]
             last.indexed = bool(last.indexes) and not last.doubtful
         if opcode == Opcode.CHUNK:
@@ -201,13 +207,13 @@ def _take_next(file: IO[bytes], layout: Layout) -> None:
         _require_true_summary(file, layout, offset, length)
         file.seek(layout.good_bytes)
         if file.read(len(MAGIC)) != MAGIC:
-            raise Torn("it ends without the closing magic bytes")
+            raise Torn("the file ends without the closing magic bytes")
         layout.complete = True
 
 
 def _take_index(file: IO[bytes], layout: Layout, offset: int, length: int) -> None:
     if length < INDEX_HEADER.size or not layout.chunks:
-        raise Torn("a message index that belongs to no chunk")
+        raise Torn("a message index without a chunk")
     channel, entries = INDEX_HEADER.unpack(file.read(INDEX_HEADER.size))
     chunk = layout.chunks[-1]
     impossible = entries != length - INDEX_HEADER.size or entries % INDEX_ENTRY_BYTES
@@ -221,14 +227,14 @@ def _take_explanation(
     file: IO[bytes], layout: Layout, opcode: int, offset: int, length: int
 ) -> None:
     if length > _LONGEST_EXPLANATION_BYTES:
-        raise Torn(f"a record of {length} bytes that should be short")
+        raise Torn(f"a record of {length} bytes, too long for its type")
     try:
         record = read_explanation(opcode, file.read(length))
     except Torn as spoilt:
-        # Its length led to the next record: only this one is lost.
+        # The length of the record is valid, so only this record is lost.
         if len(layout.spoilt) < _MOST_NAMED:
             kind = Opcode(opcode).name.lower()
-            layout.spoilt.append(f"the {kind} record at byte {offset} is {spoilt}")
+            layout.spoilt.append(f"the {kind} record at byte {offset}: {spoilt}")
         return
     if isinstance(record, Header):
         layout.header = record
@@ -245,7 +251,7 @@ def _take_explanation(
 
 
 def _require_true_summary(file: IO[bytes], layout: Layout, offset: int, length: int) -> None:
-    """Believe what the summary repeated about channels only if its checksum is right."""
+    """Discard the channel definitions of the summary if the summary checksum is wrong."""
     if length < _FOOTER.size:
         raise Torn("a footer without content")
     file.seek(offset)
@@ -262,11 +268,11 @@ def _require_true_summary(file: IO[bytes], layout: Layout, offset: int, length: 
         layout.schemas.clear()
         layout.channels.clear()
         layout.counts = None
-        raise Torn("its summary is damaged")
+        raise Torn("the summary is damaged")
 
 
 def whole_records(file: IO[bytes], layout: Layout) -> Iterator[tuple[int, int, int]]:
-    """Yield (opcode, offset, length of content) of every record before the tear, in file order."""
+    """Yield (opcode, offset, content length) of every record before the tear, in file order."""
     start = len(MAGIC)
     while start + RECORD_HEADER.size <= layout.good_bytes:
         file.seek(start)
@@ -279,16 +285,23 @@ def whole_records(file: IO[bytes], layout: Layout) -> Iterator[tuple[int, int, i
 
 
 def parse(kind: Callable[[ReadDataStream], _Record], content: bytes) -> _Record:
-    """Return one record from its content. Raises `Torn` when it is not one."""
+    """Return a record parsed from the bytes of its content.
+
+    Raises `Torn` if the bytes are invalid.
+    """
     try:
         return kind(ReadDataStream(BytesIO(content)))
-    # A length beyond 2⁶³ is an OverflowError, which is no ValueError.
+    # A length beyond 2⁶³ raises OverflowError, which is not a subclass of ValueError.
     except (McapError, struct.error, ValueError, OverflowError) as error:
         raise Torn(f"unreadable record: {error}") from error
 
 
 def read_explanation(opcode: int, content: bytes) -> Explanation:
-    """Return a record that explains the messages. Raises `Torn` if it is unreadable or spoilt."""
+    """Return a descriptive record, such as a schema or metadata.
+
+    Raises:
+        Torn: The record is unreadable or damaged.
+    """
     record = parse(_EXPLANATIONS[opcode], content)
     if isinstance(record, Attachment):
         checksum = int.from_bytes(content[-CHECKSUM_BYTES:], "little")
@@ -297,26 +310,27 @@ def read_explanation(opcode: int, content: bytes) -> Explanation:
     return record
 
 
-# Inside a chunk.
+# Content of a chunk.
 
 
 def read_chunk(file: IO[bytes], span: ChunkSpan, zstd: zstandard.ZstdDecompressor) -> bytes:
-    """Return the decompressed content of a chunk, its checksum verified.
+    """Return the decompressed content of a chunk after checking its checksum.
 
     Args:
-        file: The open file.
-        span: The chunk.
-        zstd: One for all chunks of a file: making one costs as much as using it on a small chunk.
+        file: The open MCAP file.
+        span: Position of the chunk in the file.
+        zstd: Decompressor that is shared by all chunks of a file. Creating a decompressor costs as
+            much time as decompressing a small chunk.
 
     Raises:
-        Torn: The chunk is damaged.
+        Torn: The chunk is damaged and cannot be decompressed.
     """
     if span.length > _LARGEST_CHUNK_BYTES:
         raise Torn(f"a chunk of {span.length} bytes")
     file.seek(span.offset)
     chunk = parse(Chunk.read, file.read(span.length))
     if chunk.uncompressed_size > _LARGEST_CHUNK_BYTES:
-        raise Torn(f"a chunk that claims {chunk.uncompressed_size} bytes")
+        raise Torn(f"a chunk that declares {chunk.uncompressed_size} bytes")
     if chunk.compression not in _DECOMPRESS:
         raise Torn(f"a chunk with the unknown compression {chunk.compression[:20]!r}")
     try:
@@ -324,22 +338,22 @@ def read_chunk(file: IO[bytes], span: ChunkSpan, zstd: zstandard.ZstdDecompresso
     except (ValueError, RuntimeError, MemoryError, zstandard.ZstdError) as error:
         raise Torn(f"a chunk that does not decompress: {error}") from error
     if len(data) != chunk.uncompressed_size:
-        raise Torn(f"a chunk of {len(data)} bytes that should be {chunk.uncompressed_size}")
+        raise Torn(f"a chunk of {len(data)} bytes instead of {chunk.uncompressed_size}")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise Torn("a chunk whose checksum is wrong")
     return data
 
 
 def _unzstd(chunk: Chunk, zstd: zstandard.ZstdDecompressor) -> bytes:
-    # A frame that announces another size than the chunk would allocate what it likes.
+    # A frame header with a different size than the chunk could cause a huge allocation.
     announced = zstandard.frame_content_size(chunk.data)
     if announced not in (-1, chunk.uncompressed_size):
-        raise ValueError(f"it claims {chunk.uncompressed_size} bytes and holds {announced}")
+        raise ValueError(f"{announced} bytes instead of {chunk.uncompressed_size}")
     return zstd.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
 
 
 def _unlz4(chunk: Chunk, _: zstandard.ZstdDecompressor) -> bytes:
-    # One byte more than it should be shows a frame that goes on.
+    # Requesting one byte more than expected reveals a frame that is too long.
     data: bytes = LZ4FrameDecompressor().decompress(chunk.data, chunk.uncompressed_size + 1)
     return data
 
@@ -352,10 +366,11 @@ _DECOMPRESS = {"": _plain, "zstd": _unzstd, "lz4": _unlz4}
 
 
 def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield (opcode, offset of the record, length of its content) of every record in a chunk.
+    """Yield (opcode, record offset, content length) of every record in a chunk.
 
     Raises:
-        Torn: The chunk ends within a record, or holds what no chunk holds.
+        Torn: The chunk ends within a record, or contains a kind of record that chunks cannot
+            contain.
     """
     offset, end, head = 0, len(data), RECORD_HEADER.size
     while offset < end:
@@ -363,20 +378,21 @@ def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
             raise Torn("a chunk that ends within a record")
         opcode, length = RECORD_HEADER.unpack_from(data, offset)
         if opcode not in _IN_CHUNKS:
-            raise Torn(f"a chunk with something else than messages in it ({opcode:#04x})")
+            raise Torn(f"a chunk with a record that is not a message ({opcode:#04x})")
         if offset + head + length > end:
             raise Torn("a chunk that ends within a record")
         yield opcode, offset, length
         offset += head + length
 
 
-# Beginning and end: a look at a few bytes, where walking over the whole file would take too long.
+# Fast checks of the first and last bytes, for callers that cannot wait for a pass over the file.
 
 
 def has_its_beginning(path: Path) -> bool:
-    """Return whether a file begins as an MCAP file does; if not, nothing of it can be saved.
+    """Return whether a file begins with the MCAP magic bytes; other files are irrecoverable.
 
-    True for a file that cannot be read: that is another problem.
+    The function returns True for a file that cannot be read, because its read error is reported by
+    a different function.
     """
     try:
         with path.open("rb") as file:
@@ -386,13 +402,13 @@ def has_its_beginning(path: Path) -> bool:
 
 
 def torn_although_finished(recordings: Iterable[Path]) -> list[Path]:
-    """Return the recordings that have their final name, but not their end: they were cut off."""
+    """Return the recordings that have their final file name although their end is missing."""
     finished = (path for path in recordings if not path.name.endswith(PARTIAL_SUFFIX))
     return [path for path in finished if not _has_its_end(path)]
 
 
 def _has_its_end(path: Path) -> bool:
-    """Return whether a file begins and ends as an MCAP file does; False if it cannot be read."""
+    """Return whether a file begins and ends as an MCAP file; False if it is unreadable."""
     end = RECORD_HEADER.size + _FOOTER.size + len(MAGIC)
     try:
         with path.open("rb") as file:

@@ -1,16 +1,18 @@
-"""Writes one MCAP file; single-threaded but for `sync`, used by the recorder and by importers.
+"""Writer of one MCAP file, used by the recorder and by importers; single-threaded except `sync`.
 
-The file is called `NN.mcap.partial` until it is finished, and is locked until then, so that
-it is not taken for one that a kill has left. What explains the data (metadata, attachments, message
-definitions) is written first and before the file gets even that name, so that whatever bears it
-says what it is. Chunks are 1 MiB, zstd.
+Until an MCAP file is finished, its name is `NN.mcap.partial` and the file is locked, so that the
+file is not mistaken for the remains of a killed process. Metadata, attachments and message
+definitions are written first, before the new file gets the name `NN.mcap.partial`. Every file named
+`NN.mcap.partial` therefore describes its own content. A chunk has a size of 1 MiB before it is
+compressed with zstd.
 
-`McapWriter` knows files, topics and rows; `McapStream` below it knows the records of the format and
-writes them in blocks. `mcap.writer.Writer` takes messages one by one (10 µs each) and keeps an
-object per chunk until the end; at ten chunks a second its index of a 1 GB recording takes 0.4 s to
-write, during which a control thread gets the interpreter 6 ms late. Here a block of messages is one
-numpy operation and the index lies ready in bytes (decision 0012). What is written once is left to
-`mcap.records`.
+`McapWriter` handles files, topics and rows; `McapStream` encodes the MCAP records and writes them
+in blocks. The class `mcap.writer.Writer` of the mcap package accepts single messages (10 µs each)
+and keeps one object per chunk in memory until the end of the file. With `mcap.writer.Writer` and
+ten chunks per second, writing the index of a 1 GB recording takes 0.4 s, and the control thread
+gets the Python interpreter 6 ms late during this time. `McapStream` processes a block of messages
+in one numpy operation and keeps the index as encoded bytes (decision 0012). Records that are
+written only a single time per file are encoded by `mcap.records`.
 """
 
 from __future__ import annotations
@@ -67,16 +69,17 @@ from hil.recording.viewer_messages import (
 from hil.robot import CDR_HEADER, STATE_TOPIC, Topic
 
 FILE_FORMAT_VERSION = 1
-"""Version of what is around the topics: metadata, attachments, clocks. See decision 0002."""
+"""Version of the hil file format: metadata, attachments and clocks. See decision 0002."""
 
 FILE_METADATA = "hil"
-"""Metadata record that says what wrote the file."""
+"""Name of the metadata record that contains the version of the file format."""
 
 RECOVERED_METADATA = "recovered"
-"""Metadata record in which a rebuilt file says what it was rebuilt from."""
+"""Name of the metadata record in which a rebuilt file describes the torn file from which it was
+rebuilt."""
 
 CHUNK_BYTES = 1 << 20
-"""Size of a chunk before compression."""
+"""Size of a chunk of messages before compression [bytes]."""
 
 _UINT32 = 0xFFFFFFFF
 _COMPRESSION = struct.pack("<I", 4) + b"zstd"
@@ -86,7 +89,7 @@ _INDEX_OFFSET = struct.Struct("<HQ")
 
 
 class Attachment(NamedTuple):
-    """A file carried inside the recording: the spec, the plan, a calibration, a URDF."""
+    """File stored inside a recording, such as the spec, the plan, a calibration or a URDF."""
 
     name: str
     media_type: str
@@ -94,21 +97,25 @@ class Attachment(NamedTuple):
 
 
 class McapWriter:
-    """One MCAP file with fixed-size records, JointStates for viewers and events.
+    """Writer of one MCAP file with fixed-size rows, messages for viewers and events.
 
-    A message's log time is the record's `host_time` (Unix), its publish time `device_time`; both
-    stand in the record itself as well, unrounded. Where the host time is NaN, the device time
-    is used for both.
+    The messages for viewers are JointState messages.
+
+    The log time of a message is the `host_time` (Unix) of the row, the publish time is
+    `device_time`. Each row also contains its host time and its device time, unrounded. If the host
+    time of a row is NaN, the device time is used as log time and as publish time.
 
     Args:
-        path: Final path; the file is `path` + `.partial` until `finish`.
-        topics: The topics to be written.
-        metadata: Named records of text → text, written first.
-        attachments: Files to carry along, written next.
-        joint_names: When given, state rows also appear as JointStates under `/joint_states`.
+        path: Final path of the file; the file name is `path` + `.partial` until `finish`.
+        topics: Topics that can be written to the file.
+        metadata: Metadata records (text → text) by name, written first.
+        attachments: Files that are attached to the MCAP file after the metadata.
+        joint_names: Names of the joints in the state rows; empty for a file without JointState
+            messages. If joint names are set, state rows are also written as JointState messages to
+            `/joint_states`.
 
     Raises:
-        RecordingError: The file exists, finished or partial, or cannot be created.
+        RecordingError: The file exists, finished or partial, or the file cannot be created.
     """
 
     def __init__(
@@ -126,7 +133,7 @@ class McapWriter:
             if taken.exists():
                 raise RecordingError(
                     f"{taken} exists already, and a recording is never appended to or replaced",
-                    hint="record under the next number",
+                    hint="use the next number for the recording",
                 )
         draft = self.path.with_name(f".{self.path.name}.{os.getpid()}.draft")
         with self._refusal_named():
@@ -146,20 +153,20 @@ class McapWriter:
 
     @property
     def partial_path(self) -> Path:
-        """Path of the data until the file is finished."""
+        """Path of the file before it gets its final name."""
         return self.path.with_name(self.path.name + PARTIAL_SUFFIX)
 
     @property
     def size(self) -> int:
-        """Bytes written so far, without the chunk in progress."""
+        """Number of bytes written to the file so far, without the chunk in progress."""
         return self._stream.size
 
     def write(self, topic: str, rows: StructArray) -> None:
-        """Append rows of a topic, in the order given.
+        """Append rows of a topic in the order of the array.
 
         Raises:
-            RecordingError: The file has no such topic, the rows are of another dtype, or the
-                disk refuses.
+            RecordingError: The file has no such topic, the rows have a different dtype, or the rows
+                could not be written.
         """
         require_rows_of(self.topics, topic, rows)
         with self._refusal_named():
@@ -169,7 +176,7 @@ class McapWriter:
                 self._append(JOINT_STATE_TOPIC, shown, self._joint_states.encode(shown))
 
     def write_event(self, event: Mapping[str, Any]) -> None:
-        """Append an event; `t` is its Unix time [s] and `kind` what happened."""
+        """Append an event; `t` is its Unix time [s] and `kind` its kind."""
         stamp = _nanoseconds(np.array([float(event["t"])]))
         content = encode_event(event)
         message = np.frombuffer(content, f"V{len(content)}")
@@ -177,7 +184,11 @@ class McapWriter:
             self._stream.add_messages(self._channels[EVENT_TOPIC], stamp, stamp, message)
 
     def flush(self, *, durable: bool) -> None:
-        """Hand everything to the kernel (survives a kill), or to the disk (survives power loss)."""
+        """Write all data to the kernel; written data survive a kill of the process.
+
+        If `durable` is true, the data are also synced to the disk, so that they survive a power
+        loss.
+        """
         with self._refusal_named():
             self._stream.end_chunk()
             self._file.flush()
@@ -185,34 +196,37 @@ class McapWriter:
             self.sync()
 
     def sync(self) -> None:
-        """Wait until the disk has all that was flushed; may be called by a thread of its own.
+        """Wait until all flushed data are on the disk; any thread can call this method.
 
         Raises:
-            RecordingError: The disk refuses.
+            RecordingError: The disk reported an error while data were synced.
         """
         with self._refusal_named():
             os.fsync(self._file.fileno())
 
     def finish(self) -> None:
-        """Write the index, make the file durable and give it its final name."""
+        """Write the index, sync the file to the disk and rename the file to its final name."""
         with self._refusal_named():
             self._stream.finish()
             self._file.flush()
             os.fsync(self._file.fileno())
             self.partial_path.rename(self.path)
-            _lock(self._file, fcntl.LOCK_UN)  # not before it has its name
+            _lock(self._file, fcntl.LOCK_UN)  # only after the rename
             self._file.close()
             fsync_directory(self.path.parent)
 
     def abandon(self) -> None:
-        """Close without finishing; what was flushed stays readable in the partial file."""
-        # A full disk refuses the buffered rest once more on close; it is lost either way.
+        """Close the file without finishing it; flushed data remain in the partial file."""
+        # On a full disk, closing fails again for the buffered data, which are lost in any case.
         with contextlib.suppress(OSError, ValueError):
             _lock(self._file, fcntl.LOCK_UN)
             self._file.close()
 
     def discard(self) -> None:
-        """Close and delete the file, in which nothing of value was written. Errors are ignored."""
+        """Close and delete a file that contains no useful data.
+
+        Errors are ignored.
+        """
         self.abandon()
         with contextlib.suppress(OSError):
             self.partial_path.unlink()
@@ -238,7 +252,7 @@ class McapWriter:
         except OSError as error:
             raise RecordingError(
                 f"cannot write {self.partial_path}: {error.strerror or error}",
-                hint="mend or free the disk; all that was flushed before is kept in that file",
+                hint="free space on the disk, or repair it; the file contains all flushed data",
             ) from error
 
     def _explain(
@@ -247,7 +261,7 @@ class McapWriter:
         attachments: Sequence[Attachment],
         joint_names: Sequence[str],
     ) -> None:
-        """Write metadata and attachments, and announce all topics."""
+        """Write metadata and attachments, and announce all topics of the file."""
         stream = self._stream
         version = {"format_version": str(FILE_FORMAT_VERSION)}
         own = {FILE_METADATA: version | dict(metadata.get(FILE_METADATA, {}))}
@@ -283,10 +297,10 @@ class McapWriter:
 
 
 def require_rows_of(topics: Mapping[str, Topic], name: str, rows: StructArray) -> None:
-    """Refuse rows that are not of the topic's dtype.
+    """Raise if the rows do not have the dtype of their topic.
 
     Raises:
-        RecordingError: There is no such topic, or the dtype differs.
+        RecordingError: The file has no such topic, or the dtypes differ.
     """
     topic = topics.get(name)
     if topic is None:
@@ -298,8 +312,12 @@ def require_rows_of(topics: Mapping[str, Topic], name: str, rows: StructArray) -
 
 
 def _lock(file: IO[bytes], how: int) -> None:
-    """Lock or unlock it; unlocking frees it of forked children as well, closing would not."""
-    with contextlib.suppress(OSError):  # a file system without locks
+    """Lock or unlock an open file with the system call `flock`.
+
+    Explicit unlocking releases the lock also for forked child processes, which keep the file open;
+    closing the file in this process would not release the lock.
+    """
+    with contextlib.suppress(OSError):  # the file system does not support locks
         fcntl.flock(file.fileno(), how)
 
 
@@ -312,22 +330,22 @@ def _with_cdr_header(rows: StructArray) -> StructArray:
 
 
 def _nanoseconds(seconds: StructArray) -> IntArray:
-    """Return times as MCAP stores them: whole nanoseconds, not negative; 0 where unknown."""
-    # fmax and fmin take the number where the other one is NaN.
+    """Return times in the form of MCAP: whole nanoseconds, not negative; 0 if unknown."""
+    # fmax and fmin return the number if the other argument is NaN.
     whole = np.fmin(np.fmax(seconds, 0.0), 9.2e9) * 1e9
     return whole.astype(np.int64)
 
 
-# The records of the file.
+# Encoding of the records.
 
 
 class McapStream:
-    """Writes MCAP records to a binary file that has no other writer.
+    """Encoder that writes MCAP records to a binary file; the file has no other writer.
 
     Args:
-        file: Open for writing, empty.
-        profile: What the messages keep to, such as `ros2`.
-        library: Name of the writing software.
+        file: Empty binary file that is open for writing.
+        profile: MCAP profile of the messages, such as `ros2`.
+        library: Name of the writing software, stored in the header.
     """
 
     def __init__(self, file: IO[bytes], profile: str, library: str) -> None:
@@ -349,7 +367,7 @@ class McapStream:
         self._write(_bytes_of(Header(profile, library)))
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
-        """Write a named record of text → text."""
+        """Write a named metadata record (text → text)."""
         self.end_chunk()
         texts = {utf8_text(key): utf8_text(value) for key, value in record.items()}
         content = _bytes_of(Metadata(name=name, metadata=texts))
@@ -357,7 +375,7 @@ class McapStream:
         self._write(content)
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Write a file to be carried along."""
+        """Write an attachment, a named file, to the MCAP file."""
         self.end_chunk()
         content = _bytes_of(AttachmentRecord(0, 0, name, media_type, data))
         self._attachments.append(
@@ -368,10 +386,11 @@ class McapStream:
     def register(
         self, topic: str, schema: str, definition: str, metadata: Mapping[str, str]
     ) -> int:
-        """Announce a topic of CDR messages; returns its channel.
+        """Announce a topic of CDR messages and return its new channel id.
 
-        Announced outside chunks, so that a file without a single message says what it would
-        hold, and again in the first chunk, which is where checksums protect it.
+        The announcement is written outside chunks, so that a file without messages still lists its
+        topics. The announcement is repeated in the first chunk, because checksums protect the
+        content of chunks.
         """
         number = len(self._channels) + 1
         self._schemas[number] = Schema(number, definition.encode(), "ros2msg", schema)
@@ -384,13 +403,14 @@ class McapStream:
     def add_messages(
         self, channel: int, log_ns: IntArray, publish_ns: IntArray, messages: StructArray
     ) -> None:
-        """Append N messages of one size.
+        """Append N messages of equal size to one channel.
 
         Args:
-            channel: As returned by `register`.
-            log_ns: (N,) log times [ns], not negative.
-            publish_ns: (N,) publish times [ns], not negative.
-            messages: (N,) the messages, packed, encapsulation header included.
+            channel: Channel id that `register` returned.
+            log_ns: (N,) log times of the messages [ns], not negative.
+            publish_ns: (N,) publish times of the messages [ns], not negative.
+            messages: (N,) messages as packed rows of equal size, each with its encapsulation
+                header.
         """
         size = messages.dtype.itemsize
         records = np.empty(len(messages), [*MESSAGE_FIELDS, ("message", f"V{size}")])
@@ -405,7 +425,7 @@ class McapStream:
             self._add(channel, log_ns[begin : begin + most], records[begin : begin + most])
 
     def end_chunk(self) -> None:
-        """Compress and write what has been added since the last chunk, with its index."""
+        """Compress and write the messages added since the last chunk, followed by their index."""
         if not self._entries:
             return
         content = b"".join(self._content)
@@ -430,7 +450,10 @@ class McapStream:
         self._content, self._length, self._entries = [], 0, []
 
     def finish(self) -> None:
-        """Write what the file ends with: summary, footer, magic. The file stays open."""
+        """Write the end of the file: summary, footer, magic bytes.
+
+        The binary file itself stays open.
+        """
         self.end_chunk()
         self._write(_bytes_of(DataEnd(0)))
         start = self.size
@@ -467,7 +490,10 @@ class McapStream:
         self._length += len(content)
 
     def _write_message_indexes(self) -> bytes:
-        """Write the index of every channel in the chunk; return the map channel → its place."""
+        """Write the message index of every channel in the chunk.
+
+        Return the encoded map from channel to index offset.
+        """
         places = b""
         for channel in dict.fromkeys(channel for channel, _ in self._entries):
             found = [entries for of_channel, entries in self._entries if of_channel == channel]
@@ -501,7 +527,7 @@ class McapStream:
 
 
 class _Entries(NamedTuple):
-    """Where messages of a channel are in the chunk: (N, 2) log time [ns] and offset."""
+    """Positions of the messages of a channel in the chunk: log time [ns] and offset, (N, 2)."""
 
     channel: int
     entries: IntArray

@@ -1,11 +1,15 @@
-"""Where a run comes from: code, packages, machine, person. Needs no network and never hangs.
+"""Provenance of a run: revision of the code, package versions, computer and operator.
 
-The revision of a repository is read without running anything that the repository can configure. Its
-configuration can name programs that git runs by itself: a file system monitor, filters, hooks, a
-pager, conversions for diffs, a transport for missing objects, and more of it by includes. They are
-the choice of its author, not of the operator who opens a folder of specs. So the commit is read
-from plain files, and git compares files under a git directory of our own: of the repository it gets
-the objects and the index, and of its configuration only how files are stored (decision 0031).
+Collecting the provenance of a run needs no network and cannot block.
+
+The revision of a git repository is read without executing a program that the configuration of the
+repository names. The git configuration of a repository can name programs that git executes: a file
+system monitor, filters, hooks, a pager, conversions for diffs, a transport for missing objects; the
+configuration can also include further configuration files. The author of the repository chooses
+these programs, whereas the operator only opens a folder of specs. The commit is therefore read from
+plain files, and git compares files with a separate temporary git directory. The temporary git
+directory uses the objects and the index of the repository, and only the file storage settings of
+the configuration (decision 0031).
 """
 
 from __future__ import annotations
@@ -27,30 +31,32 @@ from pathlib import Path
 from typing import Any
 
 STARTED_ID = "HIL_STARTED_ID"
-"""Environment variable that names a process which was started without a console."""
+"""Environment variable with the name under which a process without a console was started."""
 
 GIT_TIMEOUT_S = 2.0
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _HASH = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?\Z")
 _SYMBOLIC_REFS = 5
-"""HEAD is one, and may lead to another."""
+"""Maximum number of git symbolic references that are followed one after the other, starting with
+HEAD."""
 
 _SMALL_BYTES = 4096
 _PACKED_REFS_BYTES = 64 * 1024**2
 
 _STORAGE = r"^(core\.(filemode|symlinks|ignorecase|autocrlf|eol)|extensions\.objectformat)$"
-"""Keys of a git configuration that say how files are stored. None of them names a program."""
+"""Git configuration keys for file storage; none of these keys names a program."""
 
 
 def collect_provenance(spec_folder: Path | None = None) -> dict[str, Any]:
-    """Return what `start.json` says about the circumstances.
+    """Return the provenance entries of the start document `start.json`.
 
-    `git` is the revision of hil itself where it runs from a checkout (its version is among
-    `packages`), `spec_git` that of the repository in which the spec is kept.
+    The entry `git` is the revision of hil itself if hil runs from a git checkout; the version of
+    hil is in the entry `packages`. The entry `spec_git` is the revision of the git repository that
+    contains the spec.
 
     Args:
-        spec_folder: Folder of the spec.
+        spec_folder: Folder that contains the spec file.
     """
     return {
         "uid": str(uuid.uuid4()),
@@ -68,18 +74,21 @@ def collect_provenance(spec_folder: Path | None = None) -> dict[str, Any]:
 
 
 def started_as() -> dict[str, str]:
-    """Return the name under which this process was started; empty if a person started it."""
+    """Return the name under which this process was started without a console.
+
+    The returned mapping is empty if an operator started the process.
+    """
     name = os.environ.get(STARTED_ID, "")
     return {"started_as": name} if name else {}
 
 
 def utc_now() -> str:
-    """Return the present moment in UTC, ISO 8601 with milliseconds."""
+    """Return the current UTC time as ISO 8601 text with milliseconds."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 def operator() -> str:
-    """Return the user of this process."""
+    """Return the user name of this process; `unknown` if the process has no user name."""
     try:
         return getpass.getuser()
     except (KeyError, OSError, ImportError):
@@ -87,7 +96,7 @@ def operator() -> str:
 
 
 def package_versions() -> dict[str, str]:
-    """Return the versions of `hil` and of the packages it may use, as far as they are installed."""
+    """Return the versions of `hil` and of its installed dependencies."""
     try:
         requirements = importlib.metadata.requires("hil") or []
     except importlib.metadata.PackageNotFoundError:
@@ -98,7 +107,7 @@ def package_versions() -> dict[str, str]:
 
 
 def version_of(name: str) -> str | None:
-    """Return the version of a package, None if it is not installed."""
+    """Return the version of a Python package; None if the package is not installed."""
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
@@ -106,17 +115,20 @@ def version_of(name: str) -> str | None:
 
 
 def source_revision() -> dict[str, Any] | None:
-    """Return the `git_state` of the checkout hil runs from, None if installed from a wheel."""
-    # A virtual environment often lies in a repository of another project: it must track hil.
+    """Return the git state of the checkout of hil, or None if hil is installed from a wheel."""
+    # A virtual environment is often inside the repository of a different project, so check that the
+    # repository tracks hil.
     return git_state(_PACKAGE) if is_tracked(_PACKAGE / "__init__.py") else None
 
 
 def git_state(directory: Path) -> dict[str, Any] | None:
-    """Return commit and whether tracked files differ from it, or None outside a repository.
+    """Return the commit of a repository and whether tracked files differ from the commit.
 
-    `dirty` is None where that is not known without a program of the repository (a changed file with
-    a filter), where git is missing, or where it does not answer within two seconds. Submodules are
-    not looked into.
+    Outside a repository, the function returns None.
+
+    The entry `dirty` is None if git is missing, if git does not answer within two seconds, or if
+    comparing a file would execute a program of the repository (a changed file with a filter).
+    Submodules of the repository are not checked.
     """
     if (repository := _find(directory)) is None or not (sha := _commit(repository)):
         return None
@@ -126,7 +138,10 @@ def git_state(directory: Path) -> dict[str, Any] | None:
 
 
 def is_tracked(path: Path) -> bool:
-    """Return whether the repository around a file tracks it; False where git cannot say."""
+    """Return whether the enclosing repository tracks a file.
+
+    The function returns False if git does not answer.
+    """
     if (repository := _find(path.parent)) is None or not (sha := _commit(repository)):
         return False
     name = path.resolve().relative_to(repository.tree).as_posix()
@@ -139,26 +154,26 @@ def _dirty(git: _Git) -> bool | None:
     options = ("--untracked-files=no", "--ignore-submodules=all", "--no-renames")
     lines = [line for line in git("status", "--porcelain", "-z", *options).split(b"\0") if line]
     if any(not line.startswith(b" M ") for line in lines):
-        return True  # staged, deleted, of another type: no content needs to be looked at
+        return True  # staged, deleted or of a different type: the content does not matter
     if not lines:
         return False
     changed = b"".join(line[3:] + b"\0" for line in lines)
     filters = git("check-attr", "-z", "--stdin", "filter", stdin=changed).split(b"\0")
     unfiltered = any(value in (b"unspecified", b"unset") for value in filters[2::3])
-    return True if unfiltered else None  # what a filter makes of a file is not known here
+    return True if unfiltered else None  # the output of a filter is unknown here
 
 
-# Where the repository is, and its commit: read from plain files.
+# Location of the repository and its commit, read from plain files.
 
 
 @dataclass(frozen=True, slots=True)
 class _Repository:
-    """Folders of a repository.
+    """Paths of the folders of a git repository.
 
     Attributes:
-        tree: Folder of the files.
-        own: Git directory of this work tree: HEAD, index.
-        common: Git directory that all work trees share: refs, objects, config.
+        tree: Work tree, the folder of the checked-out files.
+        own: Git directory of this work tree, which contains HEAD and the index.
+        common: Git directory that all work trees share, which contains refs, objects and config.
     """
 
     tree: Path
@@ -167,7 +182,7 @@ class _Repository:
 
 
 def _find(directory: Path) -> _Repository | None:
-    """Return the repository that contains a folder; None if there is none."""
+    """Return the git repository that contains a folder; None if there is no repository."""
     here = directory.resolve()
     for tree in (here, *here.parents):
         own = tree / ".git"
@@ -178,12 +193,12 @@ def _find(directory: Path) -> _Repository | None:
             shared = _text(own / "commondir")
             return _Repository(tree, own, own / shared if shared else own)
         if is_link:
-            return None  # it leads nowhere: the repository around it is another one
+            return None  # broken link: an enclosing repository would be a different one
     return None
 
 
 def _commit(repository: _Repository) -> str:
-    """Return the hash that HEAD leads to; empty without a commit."""
+    """Return the commit hash to which HEAD refers; empty text if HEAD has no commit."""
     text = _text(repository.own / "HEAD")
     for _ in range(_SYMBOLIC_REFS):
         if _HASH.match(text):
@@ -203,9 +218,9 @@ def _packed(path: Path, name: str) -> str:
 
 
 def _text(path: Path, most: int = _SMALL_BYTES) -> str:
-    """Return what a regular file holds; empty of anything else, such as a pipe that never ends.
+    """Return the text of a regular file; empty for other files, such as an endless pipe.
 
-    It may name a path, whose bytes need not be UTF-8.
+    The content can be a file path, so that its bytes are not always valid UTF-8.
     """
     if _is_file(path):
         with contextlib.suppress(OSError), path.open("rb") as file:
@@ -214,31 +229,31 @@ def _text(path: Path, most: int = _SMALL_BYTES) -> str:
 
 
 def _is_file(path: Path) -> bool:
-    with contextlib.suppress(OSError, ValueError):  # ValueError: a NUL in the path
+    with contextlib.suppress(OSError, ValueError):  # ValueError: the path contains a NUL byte
         return path.is_file()
     return False
 
 
-# Git itself, under a directory of our own.
+# Git commands with a separate git directory.
 
 
 class _Git:
-    """Run git in an environment.
+    """Git command that runs with a fixed environment.
 
     Args:
-        program: Its path.
-        tree: Folder it is run in.
-        environment: All it gets.
+        program: Path of the git executable.
+        tree: Working directory in which the command runs.
+        environment: Complete set of environment variables of the command.
     """
 
     def __init__(self, program: str, tree: Path, environment: dict[str, str]) -> None:
         self._program, self._tree, self._environment = program, tree, environment
 
     def __call__(self, *arguments: str, stdin: bytes = b"") -> bytes:
-        """Return what git prints.
+        """Return the text that a git command prints.
 
         Raises:
-            SubprocessError: It fails, or does not answer in time.
+            SubprocessError: The command failed or did not answer in time.
         """
         return subprocess.run(  # noqa: S603 - fixed arguments, no shell
             [self._program, *arguments],
@@ -253,13 +268,13 @@ class _Git:
 
 @contextlib.contextmanager
 def _git(repository: _Repository, sha: str) -> Iterator[_Git]:
-    """Make a git directory of our own whose HEAD is a commit of the repository.
+    """Yield a git command with a temporary git directory whose HEAD is a commit of the repository.
 
     Raises:
-        OSError: There is no git, or no place for the directory.
-        SubprocessError: The configuration cannot be read.
+        OSError: Git is not installed, or the temporary directory cannot be created.
+        SubprocessError: The configuration of the git repository cannot be read.
     """
-    # An empty or relative entry is the opened folder: a program there is its author's.
+    # An empty or relative entry refers to the opened folder, whose programs are not trusted.
     entries = os.environ.get("PATH", os.defpath).split(os.pathsep)
     places = os.pathsep.join(entry for entry in entries if Path(entry).is_absolute())
     if (program := shutil.which("git", path=places)) is None:
@@ -270,7 +285,7 @@ def _git(repository: _Repository, sha: str) -> Iterator[_Git]:
         (own / "HEAD").write_text(f"{sha}\n")
         (own / "config").touch()
         environment = {
-            # The user's own settings stay out as well: a repository can choose among their filters.
+            # User settings are excluded as well, because a repository can select filters from them.
             **{key: value for key, value in os.environ.items() if not key.startswith("GIT_")},
             "PATH": places,
             "HOME": folder,
@@ -281,12 +296,13 @@ def _git(repository: _Repository, sha: str) -> Iterator[_Git]:
             "GIT_WORK_TREE": str(repository.tree),
             "GIT_INDEX_FILE": str(repository.own / "index"),
             "GIT_OBJECT_DIRECTORY": str(repository.common / "objects"),
-            # A look at the repository must not take its index lock from the person using it.
+            # Reading the repository must not take the index lock from an operator who works with
+            # it.
             "GIT_OPTIONAL_LOCKS": "0",
             "GIT_NO_LAZY_FETCH": "1",
             "GIT_TERMINAL_PROMPT": "0",
         }
-        # Of its configuration git reads a few keys as text, by a command that includes nothing.
+        # Git reads only a few keys of the configuration as text, without include directives.
         reading = _Git(program, own, environment)
         config = repository.common / "config"
         if config.is_file():
@@ -295,12 +311,12 @@ def _git(repository: _Repository, sha: str) -> Iterator[_Git]:
 
 
 def _storage(git: _Git, config: Path) -> bytes:
-    """Return a configuration with the keys that say how files are stored."""
+    """Return a git configuration file that contains only the file storage keys."""
     options = ("--no-includes", "--null", "--get-regexp", _STORAGE)
     try:
         values = git("config", "--file", str(config), *options).decode("utf-8", "replace")
     except subprocess.CalledProcessError:
-        return b""  # none of them is there
+        return b""  # the configuration has no storage key
     lines = ["[core]", "repositoryformatversion = 1"]
     for key, given, value in (item.partition("\n") for item in values.split("\0") if item):
         section, name = key.split(".")

@@ -1,19 +1,22 @@
-"""The recorder thread: the control thread hands over blocks and never touches a disk.
+"""Recorder thread that writes rows to disk, so that the control thread does no file access.
 
-Two threads, because a disk may take half a second for one fsync. The recorder thread only writes
-into the kernel, which is what a kill cannot undo; everything that has to wait for the disk is done
-by the disk thread beside it: fsync, opening the next part, finishing the last one.
+The recorder uses two threads, because one fsync can take half a second on a slow disk. The recorder
+thread only passes data to the kernel, and data in the kernel survive a kill of the process. The
+disk thread performs all operations that wait for the disk: fsync, opening the next part and
+finishing the last part of a recording.
 
-Durability. Every `flush_interval_s` (0.1 s) of wall time the recorder thread writes what has come
-in into the kernel, so that killing the process loses at most that much plus one write, however slow
-the disk is. The disk thread calls `fsync` every `fsync_interval_s`, so that a power loss loses at
-most that much plus the time the disk takes; set it higher on slow media, or to infinity where only
-kills are feared.
+Durability: every `flush_interval_s` (0.1 s) of wall time, the recorder thread passes all received
+rows to the kernel. A kill of the process therefore loses at most the rows of 0.1 s plus the rows of
+one write, however slow the disk is. The disk thread calls `fsync` every `fsync_interval_s` seconds,
+so that a power loss loses at most the rows of `fsync_interval_s` plus the duration of one fsync. On
+slow media, increase `fsync_interval_s`; set `fsync_interval_s` to infinity if the data must survive
+only a kill of the process.
 
-Rotation. A part that has reached `rotate_bytes` is followed by the next one, which is open by
-then; the old one is finished beside. No row is in both or in neither, and the counts go on.
+Rotation: when one part of the recording has reached `rotate_bytes`, the recorder continues in the
+next part, which is already open; the disk thread finishes the previous part. Every row is in
+exactly one part of the recording, and the counts of samples and gaps continue across parts.
 
-Continuity. Gaps, duplicates and overruns are counted while recording, by the device clock.
+Continuity: gaps, duplicates and overruns are counted during recording, with the device clock.
 """
 
 from __future__ import annotations
@@ -32,7 +35,8 @@ from hil.core import RecordingError, StructArray
 from hil.recording.mcap_writer import McapWriter, require_rows_of
 
 NextPart = Callable[[int], McapWriter]
-"""Opens a part of the recording by its number: 1 is the one after the first."""
+"""Callback that opens one part of the recording, identified by its number; number 1 is the
+second part."""
 
 _GAP_PERIODS = 1.5
 _DUPLICATE_PERIODS = 0.1
@@ -41,18 +45,20 @@ _LONGEST_WAIT_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """Continuity of one topic's samples, with T = 1/rate.
+    """Continuity of the samples of one topic; T is the nominal sampling time 1/rate.
 
     Attributes:
-        samples: Rows recorded.
-        gaps: Device time advanced by more than 1.5 T: at least one sample is missing.
-        missing: Samples that the gaps swallowed, rounded.
-        duplicates: Device time advanced by less than 0.1 T, stood still or went back.
-        overruns: Nothing is missing, but the host received the sample more than 1.5 T after
-            the one before: the loop that reads could not keep up.
-        first_time: Device time of the first sample [s], NaN before it.
-        last_time: Device time of the last sample [s].
-        last_host_time: Host time of the last sample [s].
+        samples: Number of rows that were recorded.
+        gaps: Number of pairs of consecutive samples between which the device time advanced by more
+            than 1.5 T, so that at least one sample is missing in between.
+        missing: Number of samples that are missing in the gaps, rounded.
+        duplicates: Number of pairs of consecutive samples between which the device time advanced by
+            less than 0.1 T, did not change or decreased.
+        overruns: Number of samples that follow no gap but that the host received more than 1.5 T
+            after the previous sample, because the read loop was too slow.
+        first_time: Device time of the first sample [s]; NaN before the first sample.
+        last_time: Device time of the newest sample [s].
+        last_host_time: Host time of the newest sample [s].
     """
 
     samples: int = 0
@@ -65,11 +71,14 @@ class Counts:
     last_host_time: float = float("nan")
 
     def after(self, rows: StructArray, rate_hz: float) -> Counts:
-        """Return the counts after `rows` (any record with `device_time`, `host_time`)."""
+        """Return new counts that also include `rows`.
+
+        A row is any record with `device_time` and `host_time`.
+        """
         if not len(rows):
             return self
         device, host = rows["device_time"], rows["host_time"]
-        # Before the very first sample the time is NaN, which no comparison counts.
+        # Before the first sample the time is NaN, and comparisons with NaN are false.
         steps = np.diff(device, prepend=self.last_time) * rate_hz
         host_steps = np.diff(host, prepend=self.last_host_time) * rate_hz
         gap = steps > _GAP_PERIODS
@@ -87,21 +96,26 @@ class Counts:
 
 
 class Recorder:
-    """Records blocks of rows through a thread of its own; nothing is ever dropped.
+    """Recorder that writes blocks of rows in a separate thread and never drops a row.
 
-    `put` is called by one thread, the control thread; everything else but `close` by any.
+    Only one thread, the control thread, is allowed to call `put` and `close`; any thread can call
+    the other methods.
 
     Args:
-        writer: The open file; the recorder finishes it, or abandons it when writing fails.
-        next_part: Opens part 1, 2, … with the same topics when rotating; called off the control
-            thread.
-        rotate_bytes: Go on in the next part once the open one has this size [bytes]; only with
-            `next_part`. A part gets bigger by what comes in while the next one is opened.
-        flush_interval_s: Wall time between flushes [s].
-        fsync_interval_s: Wall time between calls of fsync [s].
-        backlog_limit_s: How far writing may fall behind, in seconds of data at nominal rates.
-        on_backlog: `raise` beyond the limit, or `wait` for the disk: right for virtual clocks
-            only, where the robot stands still until its state is read.
+        writer: Writer of the first part of the recording, already open. The recorder finishes the
+            MCAP file of the writer, or leaves the file unfinished if writing fails.
+        next_part: Callback that opens part 1, 2, … with the same topics when the recording is
+            rotated; never called in the control thread.
+        rotate_bytes: Size of a part [bytes] at which the recorder continues in the next part; used
+            only with `next_part`. One part also receives the rows that arrive while the next part
+            is being opened.
+        flush_interval_s: Wall time between two flushes to the kernel [s].
+        fsync_interval_s: Wall time between two calls of fsync [s].
+        backlog_limit_s: Maximum delay of writing behind reading, in seconds of data at nominal
+            rates.
+        on_backlog: Reaction if the delay of writing exceeds its limit: `raise` an error, or `wait`
+            for the disk. The value `wait` is allowed only for robots with a virtual clock, which
+            pause until their state is read.
     """
 
     def __init__(
@@ -135,14 +149,14 @@ class Recorder:
 
     @property
     def backlog(self) -> int:
-        """Rows handed over but not written yet."""
+        """Number of rows that were passed to the recorder but are not written yet."""
         return self._rows_put - self._rows_written
 
     @property
     def behind_s(self) -> float:
-        """Time that the oldest row not yet in the kernel has been waiting [s, wall time].
+        """Age of the oldest row that has not reached the kernel yet [s, wall time].
 
-        That is what a kill would lose now.
+        A kill of the process would lose the rows that are younger than this age.
         """
         since = self._writing_since
         if since is None:
@@ -154,18 +168,21 @@ class Recorder:
 
     @property
     def counts(self) -> Mapping[str, Counts]:
-        """Samples, gaps, duplicates and overruns per topic, up to what has been written."""
+        """Numbers of samples, gaps, duplicates and overruns per topic, for all written rows."""
         return MappingProxyType(self._counts)
 
     def put(self, topic: str, rows: StructArray) -> None:
-        """Hand over rows of a topic; they are copied, and kept if at all possible when this raises.
+        """Copy rows of a topic into the queue of the recorder.
+
+        The rows are stored whenever possible, even if this method raises an error.
 
         Raises:
-            RecordingError: Writing has failed, or has fallen behind by more than the limit.
+            RecordingError: Writing has failed, or the delay of writing exceeds the limit.
         """
         require_rows_of(self._topics, topic, rows)
         if self._thread.is_alive() and not self._closing:
-            # As bytes: copying a structured array goes field by field and takes ten times as long.
+            # Copied as bytes, because copying a structured array field by field takes ten times as
+            # long.
             self._blocks.append(_Block(topic, rows.tobytes(), time.monotonic()))
             self._rows_put += len(rows)
         self._require_alive()
@@ -175,20 +192,20 @@ class Recorder:
             self._fallen_behind()
 
     def put_event(self, event: Mapping[str, Any]) -> None:
-        """Hand over an event (`t`, `kind` and anything JSON can hold) for `/events`.
+        """Queue an event (`t`, `kind` and any JSON data) for the topic `/events`.
 
         Raises:
-            RecordingError: Writing has failed.
+            RecordingError: An earlier write to the recording has failed.
         """
         self._require_alive()
         self._events.append(event)
 
     def close(self, timeout_s: float = 60.0) -> Mapping[str, Counts]:
-        """Write everything out and finish the file. Idempotent; return the final counts.
+        """Write all queued rows, finish the file and return the final counts. Idempotent.
 
         Raises:
-            RecordingError: Writing has failed or did not end in time; what was flushed is kept
-                in the partial file.
+            RecordingError: Writing has failed or did not end in time; the flushed rows remain in
+                the partial file.
         """
         deadline = time.monotonic() + timeout_s
         self._closing = True
@@ -200,7 +217,7 @@ class Recorder:
         if self._thread.is_alive() or not ended:
             raise RecordingError(
                 f"{self._writer.partial_path} could not be finished within {timeout_s:g} s",
-                hint="the disk hangs or is far too slow; what was flushed is kept in that file",
+                hint="the disk hangs or is too slow; the file contains all data flushed before",
             )
         return self.counts
 
@@ -216,7 +233,7 @@ class Recorder:
         try:
             self.close()
         except RecordingError:
-            # The first error is the one that explains; this one would hide it.
+            # The error of the with block is the cause; raising here would hide it.
             if error is None:
                 raise
 
@@ -246,7 +263,7 @@ class Recorder:
         if self.backlog > self._limit:
             raise RecordingError(
                 f"recording has fallen behind by {self.backlog} rows (limit {self._limit}); "
-                "they are kept, but the disk does not keep up",
+                "they are in memory, but the disk is too slow",
                 hint="record to a faster disk or at a lower rate",
             )
 
@@ -261,7 +278,7 @@ class Recorder:
                 self._rotate()
             self._write_backlog()
             self._disk.finish()
-        except BaseException as error:  # whatever it was, the control thread has to hear of it
+        except BaseException as error:  # every exception must reach the control thread
             self._fail(error)
             self._disk.abandon()
 
@@ -287,7 +304,10 @@ class Recorder:
         self._progress.set()
 
     def _rotate(self) -> None:
-        """Go on in the next part if this one is full and that one is open. All is flushed here."""
+        """Continue in the next part if the current part is full and the next is open.
+
+        The caller must flush all rows of the current part before.
+        """
         if self._rotate_bytes is None or self._writer.size < self._rotate_bytes:
             return
         if new := self._disk.part_after(self._writer):
@@ -295,7 +315,7 @@ class Recorder:
 
 
 class _Block(NamedTuple):
-    """Rows that wait to be written, and when they were handed over [s, monotonic clock]."""
+    """Rows that wait to be written, with their time of queueing [s, monotonic clock]."""
 
     topic: str
     content: bytes
@@ -303,13 +323,14 @@ class _Block(NamedTuple):
 
 
 class DiskThread:
-    """Keeps the open part durable and has the next one ready; owned by the recorder thread.
+    """Thread that syncs the open part of a recording to disk and opens the next part.
 
     Args:
-        writer: The open part.
-        next_part: Opens the part that follows, None where there is none.
-        fsync_interval_s: Wall time between calls of fsync [s].
-        failed: Called with what went wrong, in this thread; nothing more is done after it.
+        writer: Writer of the open part.
+        next_part: Callback that opens the next part; None if the recording has only one part.
+        fsync_interval_s: Wall time between two calls of fsync [s].
+        failed: Callback that receives an exception of the disk thread; the disk thread ends after
+            an exception.
     """
 
     def __init__(
@@ -325,8 +346,8 @@ class DiskThread:
         self._failed = failed
         self._part = 0
         self._unsynced = False
-        # None → "wanted" → a part → None: the recorder thread asks and takes, this one opens. With
-        # one owner for every step there is no moment in which a part could be opened in vain.
+        # None → "wanted" → a part → None: the recorder thread requests and takes a part, the disk
+        # thread opens it. Each transition has exactly one owner, so that no part is opened unused.
         self._next: Literal["wanted"] | McapWriter | None = None
         self._full: deque[McapWriter] = deque()
         self._ending: Callable[[], None] | None = None
@@ -336,13 +357,14 @@ class DiskThread:
         self._thread.start()
 
     def written(self) -> None:
-        """Note that the open part holds something that the disk does not have yet."""
+        """Record that the open part contains data that are not synced to disk yet."""
         self._unsynced = True
 
     def part_after(self, writer: McapWriter) -> McapWriter | None:
-        """Return the next part once it is open, else None: it is being opened then; ask again.
+        """Return the next part if it is open; otherwise request that it is opened, return None.
 
-        When there is one, `writer`, which must be flushed, is finished here in its own time.
+        The caller repeats the call until the next part is returned. When the next part is returned,
+        the disk thread finishes `writer` later. The caller must flush `writer` before the call.
         """
         new = self._next
         if new is None:
@@ -357,15 +379,15 @@ class DiskThread:
         return new
 
     def finish(self) -> None:
-        """Have all parts finished, then end; nothing more may be written."""
+        """Finish all parts of the recording and stop the thread; later rows cannot be written."""
         self._end(self._finish_all)
 
     def abandon(self) -> None:
-        """Have all parts closed as they are, then end."""
+        """Close all parts of the recording without finishing them and stop the thread."""
         self._end(self._abandon_all)
 
     def join(self, timeout_s: float) -> bool:
-        """Wait for the end; return whether it came in time."""
+        """Wait for the end of the thread; return whether it ended before the timeout."""
         self._thread.join(max(0.0, timeout_s))
         return not self._thread.is_alive()
 
@@ -387,9 +409,9 @@ class DiskThread:
                     self._last_sync, self._unsynced = now, False
                     self._writer.sync()
             self._ending()
-        except BaseException as error:  # whatever it was, the control thread has to hear of it
+        except BaseException as error:  # every exception must reach the control thread
             self._failed(error)
-            # The recorder thread goes on writing to the open part until it closes.
+            # The recorder thread continues to write to the open part until the recorder is closed.
             while self._ending is None:
                 self._wake.wait(_LONGEST_WAIT_S)
                 self._wake.clear()

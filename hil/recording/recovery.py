@@ -1,13 +1,15 @@
-"""`hil recover`: torn MCAP files become whole, indexed ones, without risk to what is there.
+"""`hil recover`: converts torn MCAP files into complete, indexed files without losing data.
 
-The new file is written as a draft, made durable, read back with mcap's own reader and compared
-with what was taken from the torn one; only then is it given its name, and only after that is the
-torn file set aside as `NN.mcap.torn`. Every change of a name is one rename (or link) followed by an
-fsync of the directory, in an order in which no moment is without a complete set of data. A kill at
-any point leaves the old state or the new one, and doing it again goes on from there.
+The new MCAP file is written as a draft, synced to disk, read back with the reader of the mcap
+package and compared with the data taken from the torn file. After this comparison, the draft gets
+its final name, and then the torn file is renamed to `NN.mcap.torn`. Every renaming is one rename
+(or link) followed by an fsync of the directory. The order of the renamings guarantees that a
+complete set of data exists at every moment. A kill leaves either the old or the new set of files,
+and a repeated recovery continues from there.
 
-A file that is being written or recovered is locked, and so refused; so is a run that is live. What
-is whole in a torn file, and what is lost, is found in `hil.recording.salvage`.
+The recovery rejects files that another process is writing or recovering, which are locked. The
+recovery also rejects live runs. The module `hil.recording.salvage` determines the readable and the
+lost data of a torn file.
 """
 
 from __future__ import annotations
@@ -60,18 +62,18 @@ _NEVER = (math.inf, -math.inf)
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """The result for one file.
+    """Result of the recovery of one MCAP file.
 
     Attributes:
-        path: The file as it was given.
-        did: `nothing`, because it is whole; `renamed`, because only its name was missing;
-            `rebuilt`; `empty`, rebuilt too, but it never got a message; or `discarded`, because
-            it had been rebuilt before.
-        out: The whole file.
-        torn: Where the torn file is now; None when there is none any more.
-        problem: Where and why it was torn or damaged, empty when it was whole.
-        lost_bytes: From the tear to the end of the file.
-        salvage: What was kept and what was damaged before the tear.
+        path: Path of the file, as passed by the caller.
+        did: Action taken: `nothing`, because the file is complete; `renamed`, because only the
+            final file name was missing; `rebuilt`; `empty`, also rebuilt, but the file never
+            contained a message; or `discarded`, because the file had already been rebuilt.
+        out: Path of the complete file after the recovery.
+        torn: Present path of the torn file; None if the torn file no longer exists.
+        problem: Position and cause of the damage; empty if the file was complete.
+        lost_bytes: Number of bytes from the tear to the end of the file.
+        salvage: Amounts of recovered data, and descriptions of damage before the tear.
     """
 
     path: Path
@@ -83,7 +85,7 @@ class Recovery:
     salvage: Salvage = field(default_factory=Salvage)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form; times are Unix time [s]."""
+        """Return the result as JSON data; times are Unix times [s]."""
         return {
             "file": str(self.path),
             "did": self.did,
@@ -108,49 +110,49 @@ class Recovery:
         }
 
     def to_lines(self) -> list[str]:
-        """Return the same in words, for people."""
+        """Return the result of the recovery as readable text lines."""
         kept = _kept_by_topic(self.salvage)
         if self.did == "nothing" and self.path != self.out:
-            return [f"{self.path} was recovered before: {self.out} holds all that is whole in it"]
+            return [f"{self.path} was recovered before: {self.out} contains its messages"]
         if self.did == "nothing":
             counts = ", ".join(f"{one.messages} messages of {one.topic}" for one in kept)
-            return [f"{self.path} is whole: {counts}"]
+            return [f"{self.path} is undamaged: {counts}"]
         if self.did == "renamed":
-            return [f"{self.path} is whole, only its name was not: it is {self.out} now"]
+            return [f"{self.path} is undamaged, renamed to {self.out}"]
         if self.did == "discarded":
-            return [f"{self.path} is deleted: {self.out} holds all that is whole in it"]
+            return [f"{self.path} is deleted: {self.out} contains its messages"]
         lines = [f"{self.path} is {self.problem}"]
         if self.did == "empty":
-            lost = "nothing: the kill came before its first samples reached it"
+            lost = "nothing: the process was killed before it wrote samples"
             return [*lines, f"  lost  {lost}", f"  → {self.out}, an empty recording"]
         lines += [f"  kept  {one.to_line()}" for one in kept]
         lines += [f"  lost  {line}" for line in self._lost()]
         aside = f"; the torn file is {self.torn}" if self.torn else "; the torn file is deleted"
-        return [*lines, f"  → {self.out}, read back and equal{aside}"]
+        return [*lines, f"  → {self.out}, verified by reading it back{aside}"]
 
     def _lost(self) -> list[str]:
         found = self.salvage
-        lines = [f"{self.lost_bytes} bytes behind the tear"] if self.lost_bytes else []
+        lines = [f"{self.lost_bytes} bytes after the tear"] if self.lost_bytes else []
         if lines and found.ended:
             lines = [f"no message: the tear is in the index ({self.lost_bytes} bytes)"]
-        lines += [_damage_in_words(damage) for damage in found.damages[:_MOST_DAMAGES_SHOWN]]
+        lines += [_damage_text(damage) for damage in found.damages[:_MOST_DAMAGES_SHOWN]]
         if (more := found.damaged - _MOST_DAMAGES_SHOWN) > 0:
             lines.append(f"… and {more} more damaged records")
         if found.orphans:
-            lines.append(f"{found.orphans} messages of which nothing says what they are")
+            lines.append(f"{found.orphans} messages without a channel definition")
         if found.misindexed:
-            lines.append(f"nothing by {found.misindexed} wrong message indexes: they are made anew")
+            lines.append(f"no message: {found.misindexed} wrong message indexes were rebuilt")
         return lines or ["nothing"]
 
 
 @dataclass(frozen=True, slots=True)
 class Recoveries:
-    """The results for a run, or for one file.
+    """Results of the recovery of a run or of one file.
 
     Attributes:
-        source: The run directory or the file.
-        files: The result for each file, in order of their names.
-        problems: Files that could not be recovered, and why.
+        source: Path of the run directory or of the file.
+        files: Results of the recovered files, sorted by file name.
+        problems: Files that could not be recovered, each with its error.
     """
 
     source: Path
@@ -158,7 +160,7 @@ class Recoveries:
     problems: tuple[tuple[Path, HilError], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form."""
+        """Return the results of all files as JSON data."""
         problems = [
             {"file": str(path), "problem": error.message, "hint": error.hint}
             for path, error in self.problems
@@ -168,7 +170,7 @@ class Recoveries:
 
     @property
     def error(self) -> HilError | None:
-        """All problems as one error, None when there is none."""
+        """All problems merged into one error; None if all files were recovered."""
         if not self.problems:
             return None
         first = self.problems[0][1]
@@ -177,18 +179,19 @@ class Recoveries:
 
 
 def recover(source: Path, out: Path | None = None, *, discard: bool = False) -> Recoveries:
-    """Recover a run's torn recordings, or one file; see `recover_file`.
+    """Recover the torn recordings of a run, or one torn file; see `recover_file`.
 
     Args:
-        source: A run directory or an MCAP file.
-        out: Where the whole file goes; a folder where `source` is a run. Nothing else is touched.
-        discard: Delete torn files once what was made of them has been read back; those that an
-            earlier recovery set aside, too.
+        source: Path of a run directory or of an MCAP file.
+        out: Destination of the complete file, or a folder if `source` is a run. If `out` is set,
+            all other files stay unchanged.
+        discard: Whether to delete torn files after the rebuilt files have been verified. Torn files
+            that an earlier recovery renamed are deleted as well if `discard` is true.
 
     Raises:
-        DataError: The run is live, `source` is neither a run nor an MCAP file, or (for a file)
-            there is nothing to rescue in it.
-        RecordingError: (For a file) the disk refuses, or the new file reads back different.
+        DataError: The run is live, `source` is neither a run nor an MCAP file, or (for a single
+            file) no data can be recovered.
+        RecordingError: (For a single file) writing failed, or the new file differs when read back.
     """
     source = Path(source)
     if not source.is_dir():
@@ -202,56 +205,62 @@ def recover(source: Path, out: Path | None = None, *, discard: bool = False) -> 
         done, problems = _recover_all(source / "recording", out, discard)
         _log(run, done)
         if run is not None:
-            release(run)  # a kill left it; an attempt that goes on takes another one
+            release(run)  # left by a kill; a resumed attempt reserves disk space again
     return Recoveries(source, tuple(done), tuple(problems))
 
 
 def recover_file(
     path: Path, out: Path | None = None, *, discard: bool = False, part: bool = False
 ) -> Recovery:
-    """Make a torn or damaged MCAP file whole.
+    """Rebuild a torn or damaged MCAP file as a complete file.
 
     Args:
-        path: The file, of this package or any other writer.
-        out: Where the whole file goes; nothing else is touched then. By default the whole file
-            takes the final name, and the torn one is kept beside it with `.torn` behind its name.
-        discard: Delete the torn file once what was made of it has been read back.
-        part: It is part of a run: a kill before its first message leaves an empty recording, and
-            that is what it becomes.
+        path: Path of the MCAP file, which can come from any writer.
+        out: Path of the complete file; if `out` is set, all other files stay unchanged. By default,
+            the complete file gets the final name of the recording, and the torn file stays next to
+            it with the suffix `.torn`.
+        discard: Whether to delete the torn file after the rebuilt file has been verified.
+        part: Whether the file is one part of the recording of a run. If the writer of a part was
+            killed before its first message, the part becomes an empty recording.
 
     Returns:
-        What was kept and lost. A file that is whole is left as it is.
+        Result of the recovery, including the recovered and the lost data. A file that is already
+        complete stays unchanged, and the result states this.
 
     Raises:
-        DataError: It is missing or no MCAP file, not one message in it is whole, it is being
-            written or recovered, or a file of the final name is there and holds something else.
-        RecordingError: The disk refuses, or what was written reads back different. The torn file
-            is as it was then.
+        DataError: The file is missing, is not an MCAP file, contains no complete message, or is
+            being written or recovered; or a file with the final name exists and has different
+            content.
+        RecordingError: Writing failed, or the rebuilt file differs when read back. The torn file is
+            unchanged if one of these errors is raised.
     """
     if out is not None and out.exists():
         raise DataError(
-            f"{out} exists already, and no recording is replaced", hint="give another name: -o FILE"
+            f"{out} exists already, and recordings are never replaced",
+            hint="choose a different name: -o FILE",
         )
     names = _Names.of(Path(path), out)
-    with _file_held(names.source) as file:
+    with _locked_file(names.source) as file:
         layout = scan(file, names.source, places=False)
         names.remove_drafts()
         if names.final != names.source and names.final.exists():
-            return _finish_an_older_one(file, names, layout, discard)
+            return _finish_earlier_recovery(file, names, layout, discard)
         whole = _whole(file, names, layout) if layout.complete else None
         if whole is None:
             return _rebuilt(file, names, layout, discard, part)
     if discard and names.kept is not None and names.kept.exists():
-        # A kill came before it was deleted.
+        # An earlier recovery was killed before it deleted the torn file.
         return recover_file(names.kept, discard=True, part=part)
     return whole
 
 
-# One file.
+# Recovery of one file.
 
 
-def _finish_an_older_one(file: IO[bytes], names: _Names, layout: Layout, discard: bool) -> Recovery:
-    """Set the torn file aside: the whole one is there, so a kill came before that was done."""
+def _finish_earlier_recovery(
+    file: IO[bytes], names: _Names, layout: Layout, discard: bool
+) -> Recovery:
+    """Rename the torn file if a killed recovery has already written the complete file."""
     names.require_room()
     salvage = survey(file, names.source, layout)
     try:
@@ -260,8 +269,8 @@ def _finish_an_older_one(file: IO[bytes], names: _Names, layout: Layout, discard
         difference = error.message
     if difference:
         raise DataError(
-            f"{names.final} is there beside {names.source} and holds something else: {difference}",
-            hint="move one of the two away, or give another name: -o FILE",
+            f"{names.final} exists beside {names.source} with different content: {difference}",
+            hint="move one of the two files away, or choose a different name: -o FILE",
         )
     torn = names.set_aside(discard)
     did: Did = "nothing" if torn == names.source else "rebuilt" if torn else "discarded"
@@ -269,7 +278,11 @@ def _finish_an_older_one(file: IO[bytes], names: _Names, layout: Layout, discard
 
 
 def _whole(file: IO[bytes], names: _Names, layout: Layout) -> Recovery | None:
-    """Give a file that has its end its final name if all of it is right; None if it is not."""
+    """Give an undamaged complete file its final name.
+
+    Returns:
+        The result of the recovery; None if the file is damaged and must be rebuilt.
+    """
     salvage = survey(file, names.source, layout)
     counted = layout.counts is None or sum(layout.counts.values()) == salvage.tally.messages
     if layout.spoilt or salvage.damaged or salvage.orphans or salvage.misindexed or not counted:
@@ -277,7 +290,7 @@ def _whole(file: IO[bytes], names: _Names, layout: Layout) -> Recovery | None:
     if names.kept is None or names.source == names.final:
         return Recovery(names.source, "nothing", names.source, salvage=salvage)
     with names.refusal_named():
-        os.fsync(file.fileno())  # its writer may have died before it did that
+        os.fsync(file.fileno())  # its writer possibly exited before the fsync
         names.source.rename(names.final)
         fsync_directory(names.final.parent)
     return Recovery(names.source, "renamed", names.final, salvage=salvage)
@@ -293,9 +306,9 @@ def _rebuilt(file: IO[bytes], names: _Names, layout: Layout, discard: bool, part
             problem = scan(written, draft, places=False).problem
         if problem or (problem := tally_of(draft).difference(salvage.tally)):
             raise RecordingError(
-                f"what was written for {names.final} reads back different: {problem}",
-                hint="the disk may be failing: recover to another one with -o FILE; "
-                f"{names.source} is as it was",
+                f"{names.final} differs from the written data when read back: {problem}",
+                hint="the disk is possibly failing: recover to a different disk with -o FILE; "
+                f"{names.source} is unchanged",
             )
         with names.refusal_named():
             names.install(draft)
@@ -323,47 +336,47 @@ def _write_draft(
         salvage = rebuild(file, names.source, layout, out, note)
         empty = part and never_got_a_message(file, layout, salvage)
         if not salvage.tally.messages and not empty:
-            raise _nothing_to_rescue(names.source, layout, salvage)
+            raise _nothing_recoverable(names.source, layout, salvage)
         out.flush()
         os.fsync(out.fileno())
-        # What is compared shall come from the disk, not from the kernel's memory.
+        # The comparison must read the data from the disk, not from the page cache of the kernel.
         os.posix_fadvise(out.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
     return salvage
 
 
-def _nothing_to_rescue(source: Path, layout: Layout, salvage: Salvage) -> DataError:
+def _nothing_recoverable(source: Path, layout: Layout, salvage: Salvage) -> DataError:
     reasons = [layout.problem] if layout.problem else []
     if salvage.damaged:
         reasons.append(f"{salvage.damaged} damaged records, the first {salvage.damages[0].what}")
     if salvage.orphans:
-        reasons.append(f"{salvage.orphans} messages of which nothing says what they are")
+        reasons.append(f"{salvage.orphans} messages without a channel definition")
     return DataError(
-        f"there is nothing to rescue in {source}: no message in it is whole"
+        f"{source} contains no message that can be recovered"
         + (f" ({'; '.join(reasons)})" if reasons else ""),
         hint=hint_of_lost(source),
     )
 
 
 def _lost(layout: Layout, salvage: Salvage) -> tuple[str, int]:
-    """Return what was wrong with a file, and how much of it lies behind the tear [bytes]."""
+    """Return the description of the damage and the number of bytes after the tear."""
     if not layout.complete:
         return layout.problem, layout.size - layout.good_bytes
     if salvage.damages:
         first = salvage.damages[0]
         return f"damaged: {first.what} at byte {first.offset}", 0
-    return layout.problem or "damaged: its index leads elsewhere than to its messages", 0
+    return layout.problem or "damaged: its index does not point to its messages", 0
 
 
 @contextlib.contextmanager
-def _file_held(path: Path) -> Iterator[IO[bytes]]:
-    """Open the torn file, for this process alone as far as writing and recovering go.
+def _locked_file(path: Path) -> Iterator[IO[bytes]]:
+    """Open and lock the torn file, so that no other process writes or recovers the file.
 
     Raises:
-        DataError: It cannot be read, or is being written or recovered.
+        DataError: The file cannot be read, or another process writes or recovers it.
     """
     busy = DataError(
-        f"{path} is not torn: it is being written, or recovered, at this moment",
-        hint="wait until that is over; a recording that still goes on needs no recovery",
+        f"{path} is being written or recovered by another process",
+        hint="wait until that process has ended; an active recording needs no recovery",
     )
     try:
         with path.open("rb") as file:
@@ -372,27 +385,27 @@ def _file_held(path: Path) -> Iterator[IO[bytes]]:
             except BlockingIOError:
                 raise busy from None
             except OSError:
-                pass  # a file system without locks
+                pass  # the file system does not support locks
             if not os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                raise busy  # its holder of a moment ago has given it another name
+                raise busy  # the previous lock holder has renamed the file
             yield file
     except OSError as error:
         raise DataError(
             f"cannot read {path}: {error.strerror or error}",
-            hint="see whether it exists and may be read",
+            hint="check that the file exists and is readable",
         ) from error
 
 
 @dataclass(frozen=True, slots=True)
 class _Names:
-    """Names of the files of one recovery, and how they change hands.
+    """File names used by one recovery, and the renames between these names.
 
-    The new file gets its name before the torn one loses its own.
+    The new file gets its final name before the torn file is renamed.
 
     Attributes:
-        source: The torn file.
-        final: The whole one.
-        kept: Where the torn file goes; None when it stays where it is.
+        source: Path of the torn file.
+        final: Path of the complete file.
+        kept: Path to which the torn file is moved; None if it is not moved.
     """
 
     source: Path
@@ -401,7 +414,7 @@ class _Names:
 
     @classmethod
     def of(cls, path: Path, out: Path | None) -> _Names:
-        """Return the names by those of the torn file and, if it has one, of the whole one."""
+        """Return the file names derived from the torn file and, if `out` is set, from `out`."""
         if out is not None:
             return cls(path, out, None)
         for suffix in (PARTIAL_SUFFIX, TORN_SUFFIX):
@@ -411,7 +424,7 @@ class _Names:
         return cls(path, path, path.with_name(path.name + TORN_SUFFIX))
 
     def require_room(self) -> None:
-        """Refuse if the torn file would take the name of another. Raises `DataError`."""
+        """Raise `DataError` if the torn file would replace an existing file."""
         kept = self.kept
         if kept is None or kept == self.source or not kept.exists():
             return
@@ -419,19 +432,26 @@ class _Names:
             return
         raise DataError(
             f"{kept} exists already, and a torn file is never replaced",
-            hint="move it away, or give another name: -o FILE",
+            hint="move it away, or choose a different name: -o FILE",
         )
 
     def remove_drafts(self) -> None:
-        """Remove drafts of recoveries that were killed: the torn file's holder has no others."""
+        """Remove the drafts of killed recoveries.
+
+        No other process can have a draft, because the caller has locked the torn file.
+        """
         for draft in self.final.parent.glob(f".{glob.escape(self.final.name)}.*.draft"):
             with contextlib.suppress(OSError):
                 draft.unlink()
 
     def install(self, draft: Path) -> None:
-        """Give a finished draft its name. Raises `OSError`."""
+        """Rename a finished draft to the final name of the complete file.
+
+        Raises `OSError`.
+        """
         if self.source == self.final and self.kept is not None:
-            # Both names for the torn file, then the final one for the new: it is never missing.
+            # First link the torn file under its second name, then replace the final name by the new
+            # file, so that the final name exists at every moment.
             if not self.kept.exists():
                 os.link(self.source, self.kept)
                 fsync_directory(self.final.parent)
@@ -441,7 +461,7 @@ class _Names:
         fsync_directory(self.final.parent)
 
     def set_aside(self, discard: bool) -> Path | None:
-        """Give the torn file its last name, or delete it; return where it is."""
+        """Rename or delete the torn file; return its new path, or None after deletion."""
         assert self.kept is not None
         torn = self.kept if self.source == self.final else self.source
         with self.refusal_named():
@@ -454,38 +474,38 @@ class _Names:
 
     @contextlib.contextmanager
     def refusal_named(self) -> Iterator[None]:
-        """Raise what the disk refuses inside as a `RecordingError`."""
+        """Convert an `OSError` raised in the block into a `RecordingError`."""
         try:
             yield
         except OSError as error:
             raise RecordingError(
                 f"cannot recover {self.source} to {self.final}: {error.strerror or error}",
-                hint="mend or free the disk, or recover to another one with -o FILE; "
-                "the torn file is as it was",
+                hint="free space on the disk, or recover to a different disk with -o FILE; "
+                "the torn file is unchanged",
             ) from error
 
 
-# A run.
+# Recovery of a run.
 
 
 def _recover_all(
     folder: Path, out: Path | None, discard: bool
 ) -> tuple[list[Recovery], list[tuple[Path, HilError]]]:
     unfinished = sorted(folder.glob(f"*.mcap{PARTIAL_SUFFIX}"))
-    # A finished one may have lost its end, or be damaged in its middle: all of it is read. Where a
-    # recovery that was killed left both, the unfinished one is dealt with.
+    # Finished files are read completely, because their end can be missing or their middle damaged.
+    # If a killed recovery left both a finished and an unfinished file, the unfinished one is used.
     finished = [
         path
         for path in (recordings_in(folder) if folder.is_dir() else ())
         if path not in unfinished and not path.with_name(path.name + PARTIAL_SUFFIX).exists()
     ]
-    # What an earlier recovery kept is looked at again only to be deleted.
+    # Torn files of an earlier recovery are processed again only to be deleted.
     kept = sorted(folder.glob(f"*.mcap{TORN_SUFFIX}")) if discard and out is None else []
     done: list[Recovery] = []
     problems: list[tuple[Path, HilError]] = []
     for file in [*unfinished, *finished, *kept]:
         if file in kept and not file.exists():
-            continue  # it went with the whole one beside it
+            continue  # deleted together with the complete file next to it
         try:
             into = None if out is None else _made(out) / file.name.removesuffix(PARTIAL_SUFFIX)
             one = recover_file(file, into, discard=discard, part=True)
@@ -502,23 +522,23 @@ def _made(folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
-            f"cannot make {folder}: {error.strerror or error}",
-            hint="see whether the folder may be written to and the disk has room",
+            f"cannot create {folder}: {error.strerror or error}",
+            hint="check that the folder is writable and that the disk has free space",
         ) from error
     return folder
 
 
 @contextlib.contextmanager
 def _run_held(run: Path | None, *, writing: bool) -> Iterator[Path | None]:
-    """Keep others from resuming a run meanwhile; a copy made elsewhere leaves it untouched.
+    """Lock a run against resumption during the block if `writing` is true.
 
     Yields:
-        The run if it is written to, else None.
+        The run if files of the run will be written, otherwise None.
     """
     if run is not None and (holder := run_holder(run)) is not None:
         raise DataError(
-            f"{run} is running: its recording is not torn but being written by {holder}",
-            hint=f"wait until it is over, or follow it with: hil watch {run}",
+            f"{run} is active: its recording is being written by {holder}",
+            hint=f"wait until the run has ended, or follow it with: hil watch {run}",
         )
     if run is None or not writing:
         yield None
@@ -528,7 +548,7 @@ def _run_held(run: Path | None, *, writing: bool) -> Iterator[Path | None]:
 
 
 def _log(run: Path | None, done: Sequence[Recovery]) -> None:
-    """Log what was recovered among the events of the run: a run explains itself."""
+    """Append the recovered files to the event log of the run."""
     changed = [file for file in done if file.did != "nothing"]
     if run is None or not changed:
         return
@@ -546,12 +566,15 @@ def _log(run: Path | None, done: Sequence[Recovery]) -> None:
             )
 
 
-# The result in words.
+# Result as text.
 
 
 @dataclass(frozen=True, slots=True)
 class _TopicKept:
-    """What was kept of one topic; times are log times [s, Unix]."""
+    """Recovered messages of one topic, with their time range.
+
+    All times are log times [s, Unix].
+    """
 
     topic: str
     messages: int
@@ -559,7 +582,7 @@ class _TopicKept:
     last_s: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON form; times are null where there is no message."""
+        """Return the topic as JSON data; times are null if the topic has no message."""
         some = self.messages > 0
         return {
             "topic": self.topic,
@@ -569,13 +592,13 @@ class _TopicKept:
         }
 
     def to_line(self) -> str:
-        """Return it in words."""
+        """Return the number and time range of the messages as a readable text line."""
         count = f"{self.messages} messages of {self.topic}"
         return f"{count}, {_span(self.first_s, self.last_s)}" if self.messages else count
 
 
 def _kept_by_topic(salvage: Salvage) -> list[_TopicKept]:
-    """Return what was kept by topic, channels of the same one added up."""
+    """Return the recovered messages per topic, summed over all channels of the topic."""
     out: dict[str, _TopicKept] = {}
     for definition, kept in salvage.tally.channels.items():
         first, last = (kept.first_ns * 1e-9, kept.last_ns * 1e-9) if kept.messages else _NEVER
@@ -589,14 +612,14 @@ def _kept_by_topic(salvage: Salvage) -> list[_TopicKept]:
     return [out[topic] for topic in sorted(out)]
 
 
-def _damage_in_words(damage: Damage) -> str:
+def _damage_text(damage: Damage) -> str:
     place = f"{damage.what} at byte {damage.offset}, {damage.length} bytes"
     span = _span(damage.first_ns * 1e-9, damage.last_ns * 1e-9)
-    return f"{place}, by its head {span}" if damage.last_ns else place
+    return f"{place}, time range in its header {span}" if damage.last_ns else place
 
 
 def _span(first_s: float, last_s: float) -> str:
-    """Return from when to when, in local time if it can be one."""
+    """Return a time range as text, in local time if the times are valid dates."""
     if not 0 < first_s <= last_s < _LAST_SECOND_OF_9999:
         return f"{first_s:.3f} s to {last_s:.3f} s"
     first, last = (datetime.fromtimestamp(t).astimezone() for t in (first_s, last_s))

@@ -1,26 +1,28 @@
-"""The run directory: the file format of a run (described in docs/reference/files.md).
+"""Run directory: the file format of a run (described in docs/reference/files.md).
 
 ::
 
-    runs/2026-11-21/ur5/0042-fourier-p3kg/   the name is for people; identity is start.json:uid
-      start.json      who, what, when, with which versions
+    runs/2026-11-21/ur5/0042-fourier-p3kg/   name for operators; the identity is start.json:uid
+      start.json      author, purpose, time, versions
       spec.yaml  station.yaml  plan.json  preflight.json
       recording/00.mcap …                    one file per attempt, NN.mcap.partial while open;
-                                             long ones go on in 00.001.mcap, 00.002.mcap, …
-      events.jsonl    state changes, checkpoints, prompts and answers, trips; only appended to
+                                             long ones continue in 00.001.mcap, 00.002.mcap, …
+      events.jsonl    state changes, checkpoints, prompts and answers, trips; append-only
       stop.json       outcome, reason, counts, SHA-256 per file; written last
-      resume-01.json  preflight-01.json  stop-01.json    the same of the first resumption, …
-      study/…  report.html                   views: may be made anew, and are replaced then
-      pruned.json     recordings that were deleted; only where some were
+      resume-01.json  preflight-01.json  stop-01.json    documents of the first resumption, …
+      study/…  report.html                   views: replaced when they are created again
+      pruned.json     list of deleted recordings; only if some were deleted
 
-An attempt without stop document means *interrupted*. No file but a view is ever rewritten.
+An attempt whose stop document is missing was *interrupted*. Only the view files, such as reports,
+are ever rewritten; every other file is written a single time.
 
-Numbers are unique below a runs folder, also when processes create runs at once: a number belongs to
-the process that holds `ROOT/.claim-NNNN`, and the run is prepared in a hidden folder beside its
-final name, which it gets by one rename when everything that it begins with is on the disk.
+Run numbers are unique within a runs folder, even if several processes create runs at the same time:
+a number belongs to the process that holds the lock `ROOT/.claim-NNNN`. A new run is prepared in a
+hidden folder next to its final path. A single rename moves the hidden folder to the final path as
+soon as all initial documents are on the disk.
 
-A run keeps 1 MiB of the disk in reserve (`.reserve`) until its stop document is written: a full
-disk must not keep a run from saying how it ended.
+A run reserves 1 MiB of disk space (`.reserve`) until its stop document is written, so that the stop
+document can be written even if the disk is full.
 """
 
 from __future__ import annotations
@@ -69,7 +71,8 @@ RunStatus = Literal["completed", "stopped", "tripped", "failed", "interrupted"]
 _OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 
 PRUNED = "pruned.json"
-"""File that says which recordings a policy has deleted, when, and who asked for it."""
+"""Name of the file that lists deleted recordings, with the time of deletion and the operator who
+requested the deletion."""
 
 RESERVE = ".reserve"
 RESERVE_BYTES = 1 << 20
@@ -87,10 +90,10 @@ _NUMBERED = re.compile(r"(\d{4,})-.+", re.DOTALL)
 
 @dataclass(frozen=True)
 class RunDirectory:
-    """One run on disk; use `create` for a new one and `open` for one that exists.
+    """Directory of one run; use `create` for a new run and `open` for an existing run.
 
     Attributes:
-        path: The directory.
+        path: Path of the run directory.
     """
 
     path: Path
@@ -103,21 +106,22 @@ class RunDirectory:
         name: str,
         begin: Callable[[RunDirectory], None] | None = None,
     ) -> RunDirectory:
-        """Make the directory of a new run, with the next free number under `runs_root`.
+        """Create the directory of a new run, with the next free number under `runs_root`.
 
-        Processes may do this at the same time: no two runs get the same number. The directory gets
-        its name when `begin` has returned: a kill or a full disk before that leaves no run.
+        Several processes can create runs at the same time without getting the same run number. The
+        run directory gets its final name after `begin` has returned: if the process is killed or
+        the disk becomes full earlier, no run remains.
 
         Args:
-            runs_root: The folder of all runs; made when missing.
+            runs_root: Folder of all runs; a missing folder is created.
             robot: Name of the robot in the station.
-            name: Name of the run for people.
-            begin: Writes the documents that the run begins with, `start.json` above all, into the
-                directory, which has another name until then.
+            name: Name of the run, chosen by the operator.
+            begin: Callback that writes the initial documents of the run, including `start.json`,
+                into the directory. The run directory has a temporary name while `begin` is called.
 
         Raises:
-            RecordingError: The directory cannot be made.
-            Exception: What `begin` raises; nothing is left then.
+            RecordingError: The run directory cannot be created.
+            Exception: `begin` raised this exception; the temporary directory was removed.
         """
         folder = (
             Path(runs_root) / datetime.now().astimezone().date().isoformat() / name_for_path(robot)
@@ -135,66 +139,73 @@ class RunDirectory:
             raise RecordingError(
                 f"cannot create a run directory in {folder}: {error.strerror or error}",
                 hint=("free the disk, or " if error.errno in _DISK_IS_FULL else "")
-                + "choose another place with --runs DIR",
+                + "choose a different folder with --runs DIR",
             ) from error
         return cls(path)
 
     @classmethod
     def open(cls, path: Path) -> RunDirectory:
-        """Open an existing run.
+        """Open the directory of an existing run.
 
         Raises:
-            DataError: It is no run directory, cannot be read, is damaged, or was written by a newer
-                hil.
+            DataError: The path is not a run directory, cannot be read, is damaged, or was written
+                by a newer version of hil.
         """
         run = cls(Path(path))
         try:
             there = (run.path / "start.json").is_file()
         except OSError as error:
             raise DataError(
-                f"cannot read {path}: {error.strerror or error}", hint="see whether you may read it"
+                f"cannot read {path}: {error.strerror or error}",
+                hint="check the permissions of the file",
             ) from error
         if not there:
             raise DataError(
                 f"{path} is not a run directory: it has no start.json",
-                hint="hil runs lists the runs there are",
+                hint="list the runs with: hil runs",
             )
         require_known_version(run.path / "start.json", run.start, "hil_run", RUN_FORMAT_VERSION)
         return run
 
     @property
     def number(self) -> int:
-        """The running number, 0 if the directory has been renamed."""
+        """Number of the run, or 0 if the directory has been renamed."""
         return number_of(self.path)
 
     @property
     def start(self) -> dict[str, Any]:
-        """The start document. Raises `DataError` when it is missing or damaged."""
+        """Content of the start document `start.json`.
+
+        Raises `DataError` if the start document is missing or damaged.
+        """
         return read_json(self.path / "start.json")
 
     @property
     def attempts(self) -> int:
-        """Number of attempts that have begun: 1, and one more for every resumption."""
+        """Number of attempts that have begun, which is 1 plus the number of resumptions."""
         resumed = [int(m[1]) for p in self.path.glob("resume-*.json") if (m := _RESUME(p.name))]
         return 1 + max(resumed, default=0)
 
     @property
     def stop(self) -> dict[str, Any] | None:
-        """The stop document of the last attempt, None if it was interrupted.
+        """Stop document of the last attempt; None if the last attempt was interrupted.
 
         Raises:
-            DataError: It is damaged.
+            DataError: The stop document of the run is damaged.
         """
         return self.stop_of(self.attempts - 1)
 
     def stop_of(self, attempt: int) -> dict[str, Any] | None:
-        """Return the stop document of one attempt, None if there is none. Raises `DataError`."""
+        """Return the stop document of one attempt; None if the document does not exist.
+
+        Raises `DataError`.
+        """
         path = self.path / name_of_attempt("stop.json", attempt)
         return read_json(path) if path.exists() else None
 
     @property
     def status(self) -> RunStatus:
-        """How the run ended; `interrupted` if it has no stop document."""
+        """Outcome of the run; `interrupted` if the last attempt has no stop document."""
         stop = self.stop
         if stop is None:
             return "interrupted"
@@ -203,74 +214,97 @@ class RunDirectory:
                 return outcome
         raise DataError(
             f"{self.path / name_of_attempt('stop.json', self.attempts - 1)} names no known outcome",
-            hint="the run directory is damaged or was edited: take it from a copy",
+            hint="the run directory is damaged or was edited: restore it from a backup",
         )
 
     @property
     def is_judged(self) -> bool:
-        """Whether there is a verdict: the run has recorded all that it was to record."""
+        """Whether the run has a verdict.
+
+        A verdict exists only if all planned data have been recorded.
+        """
         return (self.path / _VERDICT).is_file()
 
     @property
     def is_reported(self) -> bool:
-        """Whether there is a verdict, and a report that shows it."""
+        """Whether the run has a verdict and a report that shows this verdict."""
         return self.is_judged and (self.path / _REPORT).is_file()
 
     def write_verdict(self, document: Mapping[str, Any]) -> None:
-        """Store the verdict and delete an older report, so that a report always shows the verdict.
+        """Store the verdict of the run and delete an older report.
+
+        A report therefore always shows the present verdict.
 
         Raises:
-            RecordingError: There is a verdict already, or the disk refuses.
+            RecordingError: The run already has a verdict, or the verdict file cannot be written.
         """
-        if not self.is_judged:  # a second verdict is refused below, and the report shows the first
+        # `write_json` below rejects a second verdict, and the report shows the first verdict
+        if not self.is_judged:
             (self.path / _REPORT).unlink(missing_ok=True)
         self.write_json(_VERDICT, document)
 
     @property
     def recordings(self) -> tuple[Path, ...]:
-        """The recordings in order of attempts and their parts, unfinished ones included."""
+        """Paths of all recordings of the run in order, including unfinished files.
+
+        The order is that of attempts and parts.
+        """
         folder = self.path / "recording"
         return recordings_in(folder) if folder.is_dir() else ()
 
     @property
     def events_path(self) -> Path:
-        """Path of the event log."""
+        """Path of the event log of the run."""
         return self.path / _EVENTS
 
     def next_attempt(self) -> int:
-        """Return the number for an attempt that begins now: no file of an older one has it."""
+        """Return the number of an attempt that begins now and that no existing file uses."""
         recorded = [attempt_of(path) + 1 for path in self.recordings]
         begun = self.attempts if (self.path / "start.json").exists() else 0
         return max([begun, *recorded])
 
     def part_path(self, attempt: int, part: int = 0) -> Path:
-        """Return the path of a part of an attempt's recording; part 0 is its beginning."""
+        """Return the path of a part of the recording of an attempt; part 0 is the first."""
         return self.path / "recording" / part_name(attempt, part)
 
     def event_log(self) -> EventLog:
-        """Open the event log for appending."""
+        """Open the event log of the run for appending."""
         return EventLog(self.events_path)
 
     def events(self) -> list[dict[str, Any]]:
-        """Return the events logged so far."""
+        """Return the events that were logged so far."""
         return read_events(self.events_path)
 
     def write_text(self, name: str, text: str) -> None:
-        """Store a file as given (spec.yaml, station.yaml). Raises `RecordingError` if it exists."""
+        """Store a text file in the run directory, such as spec.yaml or station.yaml.
+
+        Raises `RecordingError` if the text file exists already.
+        """
         write_once(self.path / name, text.encode())
 
     def write_json(self, name: str, document: Any) -> None:
-        """Store a JSON document (plan, preflight). Raises `RecordingError` if it exists."""
+        """Store a JSON document in the run directory, such as the plan or the preflight results.
+
+        Raises `RecordingError` if the document exists already.
+        """
         write_once(self.path / name, json_document(document))
 
     def write_start(self, document: Mapping[str, Any]) -> None:
-        """Store the start document; `collect_provenance` gives most of it, `uid` included."""
+        """Store the start document of the run.
+
+        The function `collect_provenance` returns most of the content of the start document,
+        including `uid`.
+        """
         self.write_json("start.json", {"hil_run": RUN_FORMAT_VERSION, **document})
 
     def write_resume(self, attempt: int, document: Mapping[str, Any]) -> None:
-        """Store how an attempt after the first begins. Raises `RecordingError`."""
+        """Store the start document of an attempt that resumes the run.
+
+        Raises:
+            RecordingError: The start document exists already or cannot be written.
+        """
         name = name_of_attempt("resume.json", attempt)
-        with contextlib.suppress(OSError):  # preflight says so if the disk is full
+        with contextlib.suppress(OSError):  # preflight reports a full disk
             reserve(self.path)
         self.write_json(name, {"hil_run": RUN_FORMAT_VERSION, "attempt": attempt, **document})
 
@@ -282,13 +316,15 @@ class RunDirectory:
         *,
         attempt: int = 0,
     ) -> None:
-        """Store the stop document with the SHA-256 of every file; the last thing an attempt does.
+        """Store the stop document with the SHA-256 checksum of every file of the run.
+
+        Storing the stop document is the last action of an attempt.
 
         Args:
-            outcome: How the run ended.
-            reason: Why, in words for people.
-            document: Counts, gaps, duplicates, overruns, … of the whole run.
-            attempt: Which attempt ended, 0 for the first.
+            outcome: Outcome of the attempt that ended.
+            reason: Reason for the outcome as readable text.
+            document: Counts of the whole run, such as gaps, duplicates and overruns.
+            attempt: Number of the attempt that ended; 0 for the first attempt.
         """
         release(self.path)
         self.write_json(
@@ -305,16 +341,19 @@ class RunDirectory:
         )
 
     def verify(self) -> list[str]:
-        """Return what differs from the checksums of the newest stop document, one line per file.
+        """Return one line for each file that differs from its checksum in the stop document.
 
-        The event log may have grown since: what it held then must be there still, and what was
-        added must be events. Recordings deleted on purpose (`pruned.json`) are not missed.
+        The newest stop document of the run is used.
+
+        The event log can be longer than when the stop document was written: the old content must be
+        unchanged, and every added line must be an event. Recordings that were deleted on purpose
+        (`pruned.json`) are not reported as missing.
         """
         ends = (self.stop_of(attempt) for attempt in reversed(range(self.attempts)))
         stop = next((end for end in ends if end is not None), {})
         recorded = stop.get("sha256", {})
         if not isinstance(recorded, dict):
-            return ["stop.json holds no checksums"]
+            return ["stop.json contains no checksums"]
         lengths = {_EVENTS: stop.get("events_bytes")}
         pruned = self.pruned
         changed = [
@@ -327,28 +366,36 @@ class RunDirectory:
 
     @property
     def pruned(self) -> frozenset[str]:
-        """Names of recordings that were deleted on purpose. Raises `DataError` when damaged."""
+        """Names of recordings that were deleted on purpose.
+
+        Raises:
+            DataError: The list of deleted recordings is damaged.
+        """
         note = self.path / PRUNED
         deleted = read_json(note).get("bytes") if note.exists() else None
         return frozenset(deleted if isinstance(deleted, dict) else ())
 
     def foreign_events(self) -> list[str]:
-        """Return a problem if the event log has lines that are no events; else nothing."""
+        """Return a list with one problem if the event log contains a line that is not an event.
+
+        The returned list is empty if all lines are events.
+        """
         lines = foreign_lines(self.events_path)
-        held = "1 line that is no event" if lines == 1 else f"{lines} lines that are no events"
-        return [f"{_EVENTS} holds {held}: something else wrote into it"] if lines else []
+        held = "1 line that is not an event" if lines == 1 else f"{lines} lines that are not events"
+        return [f"{_EVENTS} contains {held}: a different program wrote to it"] if lines else []
 
     def _checksums(self) -> dict[str, Any]:
         inside = (path for path in self.path.rglob("*") if path.is_file())
         names = {path.relative_to(self.path): path for path in sorted(inside)}
-        # Views (report, studies, what begins with a dot) may be made anew: they are no part of it.
+        # Views (report, studies, hidden files) can be created again, so they get no checksum.
         kept = {
             name: path
             for name, path in names.items()
             if name != _REPORT
             and name.parts[0] != _STUDIES
             and not any(part.startswith(".") for part in name.parts)
-            and not _is_being_written(path)  # by a recorder that could not end: it changes still
+            # A recording of a recorder that did not stop still changes, so it gets no checksum.
+            and not _is_being_written(path)
         }
         try:
             sums = {name.as_posix(): sha256_of(path) for name, path in kept.items()}
@@ -357,44 +404,51 @@ class RunDirectory:
         except OSError as error:
             raise RecordingError(
                 f"cannot read {self.path} back: {error}",
-                hint="hil recover RUN makes whole what is left of it",
+                hint="recover its recordings with: hil recover RUN",
             ) from error
 
 
 def name_of_attempt(name: str, attempt: int) -> str:
-    """Return `stop.json` for the first attempt, `stop-01.json`, … for those after it."""
+    """Return the name of a stop document: `stop.json`, for later attempts `stop-01.json`, …."""
     path = Path(name)
     return f"{path.stem}-{attempt:02d}{path.suffix}" if attempt else name
 
 
 def number_of(run: Path) -> int:
-    """Return the number in a run directory's name, 0 if it has been renamed."""
+    """Return the number in the name of a run directory, or 0 if the name has no number."""
     match = _NUMBERED.fullmatch(run.name)
     return int(match[1]) if match else 0
 
 
 def name_for_path(name: str) -> str:
-    """Return a name as a folder: lower case, no separators, never empty or hidden."""
+    """Return a valid folder name: lower case, no separators, not empty and not hidden."""
     return re.sub(r"[^a-z0-9._]+", "-", name.lower()).strip("-.") or "run"
 
 
 def is_run(path: Path) -> bool:
-    """Return whether a folder is a run, if a damaged one: by its name or its start document.
+    """Return whether a folder is a run, recognized by its name or its start document.
 
-    The folders of series and fleets lie where runs lie, and are none.
+    A damaged run still counts as a run. Folders of series and fleets are stored next to runs and do
+    not count as runs.
     """
-    # `Path.exists` raises for a folder of another user that may not be entered.
+    # `Path.exists` raises for a folder of a different user without search permission.
     return number_of(path) > 0 or os.path.exists(path / "start.json")
 
 
 def run_folders(runs_root: Path) -> list[Path]:
-    """Return every folder where a run may be, `DAY/ROBOT/RUN`; a vanished one is left out."""
+    """Return every folder at `DAY/ROBOT/RUN` that can be a run directory.
+
+    Folders that another process removes during the search are skipped.
+    """
     days = folders_in(Path(runs_root))
     return [run for day in days for robot in folders_in(day) for run in folders_in(robot)]
 
 
 def folders_in(parent: Path) -> list[Path]:
-    """Return the folders in a folder, by name, without hidden ones; none if it is unreadable."""
+    """Return the visible subfolders of a folder, sorted by name.
+
+    A folder that cannot be read yields an empty list.
+    """
     try:
         return _folders_in(parent)
     except OSError:
@@ -404,21 +458,22 @@ def folders_in(parent: Path) -> list[Path]:
 def _folders_in(parent: Path) -> list[Path]:
     with os.scandir(parent) as entries:
         found = [entry for entry in entries if entry.is_dir()]
-    os.stat(os.path.join(parent, "."))  # refused where names may be read, but nothing be opened
+    # Raise if the names are readable but the entries cannot be opened.
+    os.stat(os.path.join(parent, "."))
     return sorted(Path(entry) for entry in found if not entry.name.startswith("."))
 
 
 def unreadable_folders(runs_root: Path) -> list[tuple[Path, str]]:
-    """Return the folders whose runs `run_folders` leaves out, each with what the system says.
+    """Return the unreadable folders that `run_folders` skips, with the system errors.
 
-    They are the folder of runs itself, and the folders of days and robots.
+    The function checks the folder of all runs and the folders of days and robots.
     """
     unreadable: list[tuple[Path, str]] = []
 
     def inside(folder: Path) -> list[Path]:
         try:
             return _folders_in(folder)
-        except (FileNotFoundError, NotADirectoryError):  # removed meanwhile
+        except (FileNotFoundError, NotADirectoryError):  # the folder was removed in the meantime
             return []
         except OSError as error:
             unreadable.append((folder, error.strerror or str(error)))
@@ -432,14 +487,15 @@ def unreadable_folders(runs_root: Path) -> list[tuple[Path, str]]:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A number that only this process may use, with a hidden folder in which the run is prepared.
+    """Run number reserved for this process, with a hidden folder in which the run is prepared.
 
-    The number belongs to the process that holds the file `ROOT/.claim-NNNN`. Only that process
-    makes, renames or removes a folder `.draft-NNNN`. A draft lies in the folder of its run, so that
-    its rename stays on one file system.
+    A run number belongs to the process that holds the lock file `ROOT/.claim-NNNN`. Only the
+    process that holds the lock of a run number creates, renames or removes its folder
+    `.draft-NNNN`. The draft folder is in the same parent folder as the final run directory, so that
+    the rename stays on one file system.
 
     Attributes:
-        number: Run number, unique under `ROOT`.
+        number: Run number, which is unique below `ROOT`.
         draft: Hidden folder in which the run is prepared.
     """
 
@@ -447,7 +503,11 @@ class Claim:
     draft: Path
 
     def become(self, run: Path) -> None:
-        """Rename the draft to the run directory, which lies beside it. Raises `OSError`."""
+        """Rename the draft folder to the run directory, which has the same parent folder.
+
+        Raises:
+            OSError: The draft folder cannot be renamed.
+        """
         fsync_directory(self.draft)
         self.draft.rename(run)
         fsync_directory(run.parent)
@@ -455,13 +515,14 @@ class Claim:
 
 @contextlib.contextmanager
 def claimed(root: Path, folder: Path) -> Iterator[Claim]:
-    """Hold the next free number under `root`, with a draft in `folder` (`ROOT/DAY/ROBOT`).
+    """Reserve the next free run number under `root` and create a draft folder in `folder`.
 
-    Drafts of processes that died are removed before, and this draft afterwards, unless it has
-    become a run.
+    The argument `folder` is `ROOT/DAY/ROBOT`. Draft folders of processes that have exited are
+    removed first. The new draft folder is removed when the context ends, unless the draft folder
+    has been renamed to a run directory.
 
     Raises:
-        OSError: One of the folders cannot be written to.
+        OSError: One of the folders is not writable.
     """
     _remove_abandoned(root)
     lock, claim = _hold_number(root, folder)
@@ -482,12 +543,13 @@ def _hold_number(root: Path, folder: Path) -> tuple[LockFile, Claim]:
         except PermissionError:
             if not path.exists():
                 raise
-            continue  # the claim of another user
+            continue  # the lock file belongs to a different user
         if not isinstance(lock, LockFile):
             continue
         with contextlib.ExitStack() as undo:
             undo.enter_context(lock)
-            # Looked for only now: until the number was held, another process could make it a run.
+            # Check only after locking: before that, a different process could create a run with
+            # this number.
             if any(number_of(run) == number for run in run_folders(root)):
                 continue
             _remove_drafts(root, path)
@@ -495,13 +557,13 @@ def _hold_number(root: Path, folder: Path) -> tuple[LockFile, Claim]:
             try:
                 draft.mkdir()
             except FileExistsError:
-                continue  # a draft of another user that died, and that only its owner may remove
+                continue  # abandoned draft of a different user, which only its owner may remove
             undo.pop_all()
             return lock, Claim(number, draft)
 
 
 def _remove_abandoned(root: Path) -> None:
-    """Remove the claims and the drafts of processes that died while they prepared a run."""
+    """Remove the lock files and draft folders that exited processes left behind."""
     for path in root.glob(f"{_CLAIM}*"):
         if holder_of(path) is not None:
             continue
@@ -513,7 +575,10 @@ def _remove_abandoned(root: Path) -> None:
 
 
 def _remove_drafts(root: Path, claim: Path) -> None:
-    """Remove every draft of a number; the caller holds its claim."""
+    """Remove every draft folder of a run number.
+
+    The caller must hold the lock of this number.
+    """
     for day in folders_in(root):
         for robot in folders_in(day):
             shutil.rmtree(robot / _draft_of(claim), ignore_errors=True)
@@ -524,14 +589,17 @@ def _draft_of(claim: Path) -> str:
 
 
 def reserve(run: Path) -> None:
-    """Take 1 MiB of the disk for a run, to be released for its stop document.
+    """Reserve 1 MiB of disk space for a run.
+
+    The space is released when the stop document is written.
 
     Raises:
-        OSError: There is not even that much left.
+        OSError: Less than 1 MiB of disk space is available.
     """
     descriptor = os.open(run / RESERVE, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
-        # What no file system compresses or leaves out. Of a nearly full disk a part is taken first.
+        # Random bytes, because a file system can compress or skip zeros. A nearly full disk accepts
+        # only a part of the bytes.
         if os.write(descriptor, os.urandom(RESERVE_BYTES)) < RESERVE_BYTES:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fsync(descriptor)
@@ -540,7 +608,10 @@ def reserve(run: Path) -> None:
 
 
 def release(run: Path) -> None:
-    """Release what `reserve` took. Idempotent."""
+    """Release the disk space that `reserve` has allocated for the run.
+
+    Idempotent.
+    """
     with contextlib.suppress(OSError):
         (run / RESERVE).unlink()
 
@@ -553,7 +624,10 @@ def _changed(path: Path, name: str, digest: object, length: object) -> str:
 
 
 def _lives_on(torn: Path, digest: object) -> bool:
-    """Return whether a torn recording that is gone was recovered: set aside, renamed or rebuilt."""
+    """Return whether a torn recording is missing because it was recovered.
+
+    A recovery moves the file aside, renames it or rebuilds it.
+    """
     if not torn.name.endswith(PARTIAL_SUFFIX):
         return False
     final = torn.with_name(torn.name.removesuffix(PARTIAL_SUFFIX))
@@ -567,7 +641,7 @@ def _lives_on(torn: Path, digest: object) -> bool:
 
 
 def _is_being_written(path: Path) -> bool:
-    """Return whether a recording is being written, or given its final name, at this moment."""
+    """Return whether a process is writing or renaming a recording at present."""
     if not path.name.endswith(PARTIAL_SUFFIX):
         return False
     try:

@@ -1,4 +1,4 @@
-"""A run group: runs that were started together, as a series or a fleet, and how each ended.
+"""Run groups: runs that were started together as a series or a fleet, with their outcomes.
 
 ::
 
@@ -9,15 +9,17 @@
                                     models/  fleet.html
                                     .lock            held while a process works on the group
 
-The document (head and one entry per run) is a view: run directories are the truth, and the document
-is replaced whenever there is more to say. It lies in the folder of runs and names them by paths
-that start at its own folder, so that all of it may be moved together.
+The document of a group (header and one entry per run) is only a view: the run directories contain
+the authoritative data, and the document is replaced after every change. The document of a group is
+stored in the folder of runs and refers to the runs by relative paths, so that the whole folder can
+be moved.
 
-A series lists the experiments that have begun, in order. A fleet lists all of its robots from the
-start; each robot's spec is a file of its own, written before anything moves and named by the run's
-`start.json`. So a run says whose it is even if the process that kept the document was killed.
+The document of a series lists the experiments that have begun, in order. The document of a fleet
+lists all robots of the fleet from the start. The spec of each robot of a fleet is a separate file,
+which is written before any robot moves and is named in the `start.json` of the run. Each run of a
+fleet therefore identifies its fleet even if the process that wrote the group document was killed.
 
-A schedule is no run group: its ledger and its occasions say more than which runs there are, and
+A schedule is not a run group: its ledger and its occasions contain more than a list of runs, and
 each run names its occasion (decision 0038).
 """
 
@@ -52,18 +54,19 @@ GROUP_FORMAT = 1
 Document = dict[str, Any]
 
 _PATHS = ("run", "report")
-"""Keys of an entry whose values are paths."""
+"""Keys of a group entry whose values are file paths."""
 
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """One run of a group, as far as it came.
+    """State of one run that belongs to a group.
 
     Attributes:
-        experiment: Its name.
-        robot: Name of its robot.
-        report: The run's own report as `hil run --json` has it; empty without a run directory.
-        error: What ended it early, or what is wrong with its models; None if nothing is.
+        experiment: Name of the experiment that was run.
+        robot: Name of the robot that ran the experiment.
+        report: Report of the run as printed by `hil run --json`; empty if no run directory exists.
+        error: Error that ended the run early, or problem with its models; None if there is no
+            error.
     """
 
     experiment: str
@@ -73,18 +76,18 @@ class Member:
 
     @property
     def run(self) -> Path | None:
-        """The run directory; None if there is none."""
+        """Path of the run directory; None if no run directory exists."""
         run = self.report.get("run")
         return Path(run) if isinstance(run, str) and run else None
 
     @property
     def measured(self) -> bool:
-        """Whether the robot did all it should: the next experiment may move one."""
+        """Whether the robot completed all motions; only then can the next experiment start."""
         return self.report.get("outcome") == "completed" and not isinstance(self.error, Stopped)
 
     @property
     def word(self) -> str:
-        """How it ended, or what its models are worth, in a word or two."""
+        """Outcome of the run, or verdict on its models, in one or a few words."""
         outcome = str(self.report.get("outcome", "not run"))
         if not self.measured:
             return outcome if outcome != "completed" else "stopped after the motion"
@@ -92,7 +95,10 @@ class Member:
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> Member:
-        """Return what `to_dict` has written; an error of an unknown class is a `HilError`."""
+        """Return the group member that `to_dict` converted.
+
+        A stored error of an unknown class becomes a `HilError`.
+        """
         own = ("experiment", "robot", "error")
         report = {key: value for key, value in entry.items() if key not in own}
         document, error = entry.get("error"), None
@@ -104,7 +110,7 @@ class Member:
         return cls(str(entry.get("experiment")), str(entry.get("robot")), report, error)
 
     def to_dict(self) -> Document:
-        """Return an entry of the document of a group, and of `--json`."""
+        """Return the entry of the run for the group document and for `--json`."""
         error = self.error and {"kind": type(self.error).__name__, "message": self.error.message}
         return {
             "experiment": self.experiment,
@@ -115,9 +121,10 @@ class Member:
 
 
 def worst_error(members: Iterable[Member]) -> HilError | None:
-    """Return the worst error of a group; None if nothing is wrong.
+    """Return the most severe error of a group; None if no member of the group has an error.
 
-    From the worst: a stop, a run that ended early, models that are missing, a rejected model.
+    The order from the most to the least severe error is: a stop, a run that ended early, missing
+    models, a rejected model.
     """
 
     def rank(member: Member) -> tuple[bool, bool, bool]:
@@ -130,29 +137,32 @@ def worst_error(members: Iterable[Member]) -> HilError | None:
 
 @dataclass(frozen=True)
 class RunGroup:
-    """The folder of a group; a `SeriesGroup` or a `FleetGroup`.
+    """Folder of a run group; base class of `SeriesGroup` and `FleetGroup`.
 
     Attributes:
-        path: The folder.
-        head: What its document says besides the entries.
+        path: Path of the group folder.
+        head: Header of the group document, which is the document without its entries.
     """
 
     kind: ClassVar[str]
     entries: ClassVar[str]
-    """Key of the entries in the document."""
+    """Key of the list of entries in the group document."""
     described: ClassVar[str]
-    """What the entries are, for messages."""
+    """Description of the entries, used in error messages."""
     required: ClassVar[tuple[str, ...]] = ()
-    """Keys that an entry has in any case."""
+    """Keys that every entry of the group document must have."""
 
     path: Path
     head: Mapping[str, Any]
 
     @classmethod
     def _create(cls, runs: Path, about: Mapping[str, Any], more: Mapping[str, Any]) -> Self:
-        """Make the folder of a group that starts now; `about` has its `name`.
+        """Create the folder of a group that starts now.
 
-        The head of the document has `about`, when it was started, and `more`, in this order.
+        `about` contains the `name` of the group.
+
+        The header of the group document consists of `about`, the start time and `more`, in this
+        order.
         """
         now = datetime.now().astimezone()
         above = runs / now.date().isoformat() / cls.kind
@@ -162,10 +172,10 @@ class RunGroup:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Return the group of a folder.
+        """Return the group that is stored in a folder.
 
         Raises:
-            DataError: It has no document, a damaged one, or one of a newer hil.
+            DataError: The group document is missing, damaged, or from a newer version of hil.
         """
         document = cls._read(path)
         del document[cls.entries]
@@ -173,20 +183,21 @@ class RunGroup:
 
     @classmethod
     def is_at(cls, path: Path) -> bool:
-        """Return whether a group of this kind was started in a folder."""
-        return os.path.isfile(cls.document_in(path))  # False if the folder may not be entered
+        """Return whether a folder contains a group of this kind."""
+        return os.path.isfile(cls.document_in(path))  # False without permission to enter the folder
 
     @classmethod
     def folders(cls, runs: Path) -> list[Path]:
-        """Return the folders of this kind below a folder of runs, the oldest day first.
+        """Return the group folders of this kind below a folder of runs, oldest day first.
 
-        One that was created only in part has no document yet (`is_at`).
+        A folder whose creation was interrupted is not returned, because it has no document yet (see
+        `is_at`).
         """
         return [path for day in folders_in(runs) for path in folders_in(day / cls.kind)]
 
     @classmethod
     def unreadable(cls, runs: Path) -> list[tuple[Path, str]]:
-        """Return the folders of this kind that may not be entered, with what the system says."""
+        """Return the group folders that cannot be entered, each with the system error message."""
         refused = []
         for path in cls.folders(runs):
             try:
@@ -199,19 +210,22 @@ class RunGroup:
 
     @classmethod
     def document_in(cls, path: Path) -> Path:
-        """Return where the document of the group in a folder is."""
+        """Return the path of the document in a group folder."""
         return path / f"{cls.kind}.json"
 
     @classmethod
     def page_in(cls, path: Path) -> Path:
-        """Return where the page of the group in a folder is; it need not have been made."""
+        """Return the path of the HTML page of a group folder.
+
+        The HTML page possibly does not exist yet.
+        """
         return path / f"{cls.kind}.html"
 
     def members(self) -> list[Member]:
-        """Return the runs of the group, as the document has them now.
+        """Return the runs of the group according to the present group document.
 
         Raises:
-            DataError: The document is damaged.
+            DataError: The group document is damaged.
         """
         members = []
         for entry in self._read(self.path)[self.entries]:
@@ -224,7 +238,7 @@ class RunGroup:
         """Replace the document.
 
         Raises:
-            RecordingError: The disk refuses.
+            RecordingError: The group document cannot be written.
         """
         entries = []
         for entry in (member.to_dict() for member in members):
@@ -235,16 +249,18 @@ class RunGroup:
         write_replacing(self.document_in(self.path), json_document(document))
 
     def held(self) -> AbstractContextManager[None]:
-        """Hold the group while inside; the kernel lets it go when this process dies.
+        """Return a context manager that locks the group against other processes.
+
+        The operating system releases the lock if this process exits.
 
         Raises:
-            DataError: Another process works on it.
-            RecordingError: The folder cannot be locked.
+            DataError: A different process is working on the group.
+            RecordingError: The group folder cannot be locked.
         """
         return hold_folder(
             self.path,
             lambda holder: DataError(
-                f"{self.path} belongs to {holder}", hint="wait until that has ended"
+                f"{self.path} is in use by {holder}", hint="wait until that process has ended"
             ),
         )
 
@@ -254,7 +270,7 @@ class RunGroup:
 
     @classmethod
     def _read(cls, path: Path) -> Document:
-        """Return the document, with entries that have what every entry needs."""
+        """Return the group document after checking the required keys of all entries."""
         file = cls.document_in(path)
         document = read_json(file)
         require_known_version(file, document, cls._version_key(), GROUP_FORMAT)
@@ -264,14 +280,14 @@ class RunGroup:
             for entry in entries
         ):
             raise DataError(
-                f"{file}: `{cls.entries}` is no list of {cls.described}",
-                hint="it is damaged or was edited: take it from a copy",
+                f"{file}: `{cls.entries}` is not a list of {cls.described}",
+                hint="it is damaged or was edited: restore it from a backup",
             )
         return document
 
 
 class SeriesGroup(RunGroup):
-    """The folder of a series: experiments that are run one after the other."""
+    """Folder of a series, whose experiments run one after the other."""
 
     kind = "series"
     entries = "runs"
@@ -288,18 +304,20 @@ class SeriesGroup(RunGroup):
         station: Path | None = None,
         commissioning: Mapping[str, Any] | None = None,
     ) -> SeriesGroup:
-        """Make the folder of a series that starts now.
+        """Create the folder of a series that starts now.
 
         Args:
-            runs: Where run directories are kept.
-            name: Of the series.
-            source: Its file, to go on with it later.
-            description: What it is for.
-            station: Named in place of those in the files.
-            commissioning: What of each experiment is executed, and how fast; None for all of it.
+            runs: Path of the folder of all runs.
+            name: Name of the series.
+            source: Path of the series file, which is needed to resume the series later.
+            description: Purpose of the series.
+            station: Path of the station file that replaces the stations named in the experiment
+                files.
+            commissioning: Part of each experiment that is executed, and its speed; None to execute
+                everything.
 
         Raises:
-            RecordingError: It cannot be written.
+            RecordingError: The series folder cannot be written.
         """
         about = {
             "name": name,
@@ -314,7 +332,7 @@ class SeriesGroup(RunGroup):
 
 
 class FleetGroup(RunGroup):
-    """The folder of a fleet: an experiment that many robots run, some at a time."""
+    """Folder of a fleet: many robots run the same experiment, some of them at the same time."""
 
     kind = "fleet"
     entries = "members"
@@ -331,18 +349,20 @@ class FleetGroup(RunGroup):
         station: str,
         robots: Path | None = None,
     ) -> FleetGroup:
-        """Make the folder of a fleet that starts now, with the spec of every robot.
+        """Create the folder of a fleet that starts now, with the spec of every robot.
 
         Args:
-            runs: Where run directories are kept.
-            name: Of the experiment.
-            specs: Text of the spec by robot.
-            source: The spec's file.
-            station: The station's file; empty for the one an experiment beside `source` would use.
-            robots: File that names real robots with their addresses; None for mocks.
+            runs: Path of the folder of all runs.
+            name: Name of the experiment.
+            specs: Text of the spec of each robot, by robot name.
+            source: Path of the spec file of the experiment.
+            station: Path of the station file; empty for the default station of an experiment next
+                to `source`.
+            robots: Path of the file with the names and addresses of real robots; None for mock
+                robots.
 
         Raises:
-            RecordingError: It cannot be written.
+            RecordingError: The fleet folder cannot be written.
         """
         about = {
             "name": name,
@@ -359,26 +379,32 @@ class FleetGroup(RunGroup):
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """See `RunGroup.open`; the path is made absolute, as runs name their spec by such a one."""
+        """Open a fleet as `RunGroup.open` does, but with an absolute path.
+
+        The path is absolute because runs refer to their spec by an absolute path.
+        """
         return super().open(path.resolve())
 
     @property
     def runs(self) -> Path:
-        """The folder of runs that the fleet lies in."""
+        """Folder of runs that contains the fleet."""
         return self.path.parents[2]
 
     @property
     def models(self) -> Path:
-        """Where models are stored that are fitted to the robots' runs."""
+        """Folder of the models that are identified from the runs of the fleet."""
         return self.path / "models"
 
     def spec_of(self, robot: str) -> Path:
-        """Return the spec as one robot runs it."""
+        """Return the path of the spec of one robot of the fleet."""
         return self.path / "specs" / f"{robot}.yaml"
 
     def run_of(self, robot: str) -> Path | None:
-        """Return the newest run of a robot for this fleet, by what the runs themselves say."""
-        mine = self.spec_of(robot).parts[-5:]  # runs may have been moved together since
+        """Return the newest run of a robot for this fleet.
+
+        A run belongs to the fleet that is identified in the start document of the run.
+        """
+        mine = self.spec_of(robot).parts[-5:]  # the folder of runs has possibly been moved
         runs = [
             run
             for run in run_folders(self.runs)
@@ -388,11 +414,15 @@ class FleetGroup(RunGroup):
 
     @staticmethod
     def place_named_by(run: Path) -> tuple[str, ...]:
-        """Return `DAY, fleet, fleet-NAME`, where the spec that a run names lies in such a place."""
+        """Return `DAY, fleet, fleet-NAME` from the spec path in the start document of a run.
+
+        The returned path is meaningful only if the spec of the run is stored in the folder of a
+        fleet.
+        """
         return _spec_named_by(run).parts[-5:-2]
 
     def completed(self) -> list[Path]:
-        """Return the runs that have measured all they should."""
+        """Return the runs of the fleet with a complete measurement."""
         return [
             member.run
             for member in self.members()
@@ -401,7 +431,10 @@ class FleetGroup(RunGroup):
 
 
 def _spec_named_by(run: Path) -> Path:
-    """Return the spec in a run's start document; an empty path if that is damaged."""
+    """Return the spec path in the start document of a run.
+
+    The path is empty if the start document is damaged.
+    """
     try:
         return Path(str(read_json(run / "start.json").get("spec", "")))
     except DataError:

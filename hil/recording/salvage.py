@@ -1,17 +1,19 @@
-"""What is whole in a torn or damaged MCAP file: counted, and copied into a new, indexed file.
+"""Reading and copying of the undamaged data of a torn or damaged MCAP file.
 
-Works for files of any writer. One chunk is in memory at a time. A chunk is taken as a whole or not
-at all: one whose checksum is wrong, that does not decompress or that ends within a record is left
-out and reported. Message indexes and chunk headers are not believed but made anew.
+The module supports files of all MCAP writers. Only one chunk of the file is in memory at a time. A
+chunk is either accepted completely or rejected: a chunk with a wrong checksum, a chunk that cannot
+be decompressed and a chunk that ends within a record are skipped and reported. The message indexes
+and chunk headers of the new file are computed again instead of copied.
 
-Channels and schemas are known from three places: chunks (checksummed), the summary (checksummed
-when it is whole) and records outside chunks. What a chunk says replaces what the others said, and
-equal definitions become one channel.
+Definitions of channels and schemas come from three places in a file: chunks (with checksum), the
+summary (with checksum if complete) and records outside chunks. A channel or schema definition in a
+chunk overrides the definitions elsewhere, and channels with equal definitions are merged into one
+channel.
 
-A `Tally` of what was taken is compared with a tally of what was written, without keeping either: it
-holds a count, a time range and a SHA-256 per channel, so it is as small for a day's recording as
-for a second's. `tally_of` reads with mcap's own indexed reader: what it finds is what other tools
-will find.
+A `Tally` (counts and checksums) of the recovered messages is compared with a tally of the messages
+written to the new file. A `Tally` stores a count, a time range and a SHA-256 checksum per channel,
+so that its size does not depend on the length of the recording. The function `tally_of` uses the
+indexed reader of the mcap package, which reads the same messages as other tools.
 """
 
 from __future__ import annotations
@@ -74,11 +76,15 @@ _LONGEST_COMPRESSION_NAME_BYTES = 16
 _MOST_ZEROS = 1 << 22
 
 _Message: TypeAlias = tuple[int, int, int, int, bytes]
-"""Channel, sequence, log time, publish time, data."""
+"""Tuple with the content of one message: channel, sequence, log time [ns], publish time [ns],
+data."""
 
 
 class Definition(NamedTuple):
-    """All that says how a message is to be read; equal ones are one channel."""
+    """Description of how the messages of a channel are decoded.
+
+    Channels with equal definitions are merged into one channel.
+    """
 
     topic: str
     message_encoding: str
@@ -89,7 +95,7 @@ class Definition(NamedTuple):
 
     @classmethod
     def of(cls, channel: Channel, schema: Schema | None) -> Definition:
-        """Return the definition of a channel's messages."""
+        """Return the description of how the messages of a channel are decoded."""
         how = (channel.topic, channel.message_encoding, tuple(channel.metadata.items()))
         if schema is None:
             return cls(*how, *_NO_SCHEMA)
@@ -98,11 +104,11 @@ class Definition(NamedTuple):
 
 @dataclass(slots=True)
 class Kept:
-    """The messages of one channel.
+    """Count, time range and digest of the messages of one channel.
 
     Attributes:
-        messages: Number of messages.
-        first_ns, last_ns: Earliest and latest log time [ns].
+        messages: Number of messages of the channel.
+        first_ns, last_ns: Earliest and latest log time of the messages [ns].
     """
 
     messages: int = 0
@@ -111,7 +117,7 @@ class Kept:
     digest: _Hash = field(default_factory=hashlib.sha256)
 
     def add(self, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> None:
-        """Count one message."""
+        """Add one message to the count, the time range and the digest."""
         self.messages += 1
         self.first_ns = min(self.first_ns, log_ns)
         self.last_ns = max(self.last_ns, log_ns)
@@ -120,17 +126,20 @@ class Kept:
 
 @dataclass(slots=True)
 class Tally:
-    """All channels with messages, and what explains them."""
+    """Message statistics of all channels, and digests of metadata and attachments."""
 
     channels: dict[Definition, Kept] = field(default_factory=dict)
     explanations: list[str] = field(default_factory=list)
 
     def kept(self, definition: Definition) -> Kept:
-        """Return the messages of one channel so far."""
+        """Return the statistics of one channel; create an empty entry for a new channel."""
         return self.channels.setdefault(definition, Kept())
 
     def explain(self, record: Metadata | Attachment) -> None:
-        """Count a record, but for the one in which a rebuilt file says what it was made from."""
+        """Add a metadata or attachment record to the statistics.
+
+        The metadata record in which a rebuilt file describes its source is skipped.
+        """
         if isinstance(record, Attachment):
             times = (record.create_time, record.log_time)
             parts: tuple[object, ...] = (times, record.media_type, record.data)
@@ -143,11 +152,14 @@ class Tally:
 
     @property
     def messages(self) -> int:
-        """Messages of all channels."""
+        """Total number of messages of all channels."""
         return sum(kept.messages for kept in self.channels.values())
 
     def difference(self, other: Tally) -> str:
-        """Return the first thing in which two tallies differ, in words; empty if they are equal."""
+        """Return a description of the first difference between two tallies.
+
+        The returned text is empty if the tallies are equal.
+        """
         for definition in self.channels | other.channels:
             ours, theirs = (tally.channels.get(definition, Kept()) for tally in (self, other))
             if ours.messages != theirs.messages:
@@ -161,13 +173,14 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Something before the tear that is lost.
+    """Record or chunk before the tear that was lost.
 
     Attributes:
-        offset: Where it is in the file.
-        length: Its length [bytes].
-        what: What it is and what is wrong with it.
-        first_ns, last_ns: Log times of its messages as its own header says; 0 where it does not.
+        offset: Position of the lost record in the file [bytes].
+        length: Length [bytes].
+        what: Kind of the lost record and reason for the loss.
+        first_ns, last_ns: Range of the message log times according to the header of the chunk [ns];
+            0 if unknown.
     """
 
     offset: int
@@ -179,15 +192,16 @@ class Damage:
 
 @dataclass(slots=True)
 class Salvage:
-    """What a copy kept and what it had to leave out.
+    """Result of copying a torn file: statistics of the recovered and the lost data.
 
     Attributes:
-        tally: What was kept.
-        damages: What was left out, the first thousand of it.
-        damaged: Number of things that were left out in all.
-        orphans: Messages whose channel or schema is nowhere defined any more.
-        misindexed: Chunks whose message indexes lead elsewhere than to their messages.
-        ended: All messages had been written: a tear comes behind them.
+        tally: Statistics of the recovered messages.
+        damages: Descriptions of the lost records and chunks, at most the first thousand.
+        damaged: Total number of lost records and chunks.
+        orphans: Number of messages that were lost because their channel or schema definition is
+            unreadable.
+        misindexed: Number of chunks whose message indexes do not match their messages.
+        ended: Whether all messages had been written, so that the tear is after the last message.
     """
 
     tally: Tally = field(default_factory=Tally)
@@ -198,7 +212,7 @@ class Salvage:
     ended: bool = False
 
     def lose(self, damage: Damage) -> None:
-        """Note something that is lost."""
+        """Add a lost record or chunk to the statistics."""
         self.damaged += 1
         if self.damaged <= _MOST_NAMED:
             self.damages.append(damage)
@@ -207,17 +221,17 @@ class Salvage:
 def rebuild(
     source: IO[bytes], path: Path, layout: Layout, out: IO[bytes], note: dict[str, str]
 ) -> Salvage:
-    """Write all that is whole in `source` to `out` as a finished MCAP file.
+    """Write all undamaged data of `source` to `out` as a finished MCAP file.
 
     Args:
-        source: The torn file, open.
-        path: Its name, for messages.
-        layout: What `scan` found in it; places are not needed.
-        out: Where the new file goes, at its beginning.
-        note: Metadata that say what the new file was made from.
+        source: The open torn file.
+        path: Name of the torn file, used in error messages.
+        layout: Result of `scan`; the positions of chunks and messages are not needed.
+        out: Empty output file that is open for writing.
+        note: Metadata that describe the torn file from which the new file is rebuilt.
 
     Raises:
-        DataError: It defines more channels than a file can have.
+        DataError: The torn file defines more channels than an MCAP file can have.
     """
     writer = Writer(out, chunk_size=CHUNK_BYTES)
     writer.start(profile=layout.header.profile if layout.header else "")
@@ -229,15 +243,17 @@ def rebuild(
 
 
 def survey(source: IO[bytes], path: Path, layout: Layout) -> Salvage:
-    """Return what `rebuild` would keep and leave out, without writing anything."""
+    """Return the result that `rebuild` would return, without writing a file."""
     return _Copy(source, path, layout, None).run()
 
 
 def tally_of(path: Path) -> Tally:
-    """Return what mcap's own reader finds in a finished file, by its index and all checksums.
+    """Return the statistics of a finished file, read with the mcap package.
+
+    All checksums of the file are verified.
 
     Raises:
-        RecordingError: It cannot be read.
+        RecordingError: The finished file cannot be read.
     """
     tally = Tally()
     try:
@@ -254,19 +270,20 @@ def tally_of(path: Path) -> Tally:
     except (OSError, McapError, ValueError, KeyError, struct.error) as error:
         raise RecordingError(
             f"{path} cannot be read back: {error}",
-            hint="hil recover FILE makes whole what is left of it",
+            hint="recover its messages with: hil recover FILE",
         ) from error
     return tally
 
 
 def _indexed_messages(file: IO[bytes], reader: McapReader) -> Iterator[tuple[Definition, Message]]:
-    """Yield every message, found through the index of chunks; one chunk at a time.
+    """Yield every message that the chunk index contains, with one chunk in memory at a time.
 
-    (`iter_messages(log_time_order=False)` of mcap 1.6 holds the whole file before it yields.)
+    (The call `iter_messages(log_time_order=False)` of mcap 1.6 would load the whole file before it
+    returns the first message.)
     """
     summary = reader.get_summary()
     if summary is None:
-        raise McapError("it has no index")
+        raise McapError("the file has no index")
     definitions = {
         channel.id: Definition.of(channel, summary.schemas.get(channel.schema_id))
         for channel in summary.channels.values()
@@ -280,19 +297,21 @@ def _indexed_messages(file: IO[bytes], reader: McapReader) -> Iterator[tuple[Def
 
 
 def never_got_a_message(file: IO[bytes], layout: Layout, salvage: Salvage) -> bool:
-    """Return whether a torn file held no whole message when its writing ended.
+    """Return whether the writer of a torn file stopped before the first complete message.
 
-    Every part lies open for 0.1 s before its first samples reach it, and the next one lies ready
-    while the last is being filled. Such a part has lost nothing, and is no reason to refuse a run.
+    Every part of a recording is open for 0.1 s before its first samples are written, and the next
+    part is already open while the current part is filled. A part without messages has therefore
+    lost no data and is not a reason to reject a run.
 
-    Its topics must be announced and nothing before the tear be damaged. Behind it there may be
-    what one interrupted write leaves: the beginning of the first chunk or of the ending, or
-    zeros. Bytes that are none of these may have been samples, however they came to be unreadable.
+    The topics of such a part must be announced, and the data before the tear must be undamaged.
+    After the tear, only the remains of one interrupted write are accepted: the beginning of the
+    first chunk, the beginning of the file end, or zeros. Any other bytes after the tear were
+    possibly samples that became unreadable.
 
     Args:
-        file: The open file.
-        layout: What `scan` found in it.
-        salvage: What is whole in it.
+        file: The open MCAP file.
+        layout: Result of `scan` for the torn file.
+        salvage: Statistics of the undamaged data of the file.
     """
     if salvage.tally.messages or salvage.damaged or salvage.orphans or layout.spoilt:
         return False
@@ -314,7 +333,10 @@ def never_got_a_message(file: IO[bytes], layout: Layout, salvage: Salvage) -> bo
 
 
 def _is_cut_chunk(file: IO[bytes], length: int) -> bool:
-    """Return whether the head of a chunk agrees with its length: a wrong one may span the file."""
+    """Return whether the sizes in a chunk header agree with the record length.
+
+    A chunk with a wrong length could extend over the rest of the file.
+    """
     head = file.read(_CHUNK_HEAD.size)
     if len(head) < _CHUNK_HEAD.size:
         return True
@@ -329,13 +351,13 @@ def _is_cut_chunk(file: IO[bytes], length: int) -> bool:
 
 
 class _Copy:
-    """One pass over the data of a file; what is known of channels grows as it goes.
+    """Single pass over a torn file that copies messages and collects channel definitions.
 
     Args:
-        source: The torn file, open.
-        path: Its name, for messages.
-        layout: What `scan` found in it.
-        writer: Of the new file; None where none is written.
+        source: The open torn file.
+        path: Name of the torn file, used in error messages.
+        layout: Result of `scan` for the torn file.
+        writer: Writer of the new file; None if no file is written.
     """
 
     def __init__(
@@ -348,7 +370,7 @@ class _Copy:
         self._indexed = _IndexCheck()
 
     def run(self) -> Salvage:
-        """Copy everything; return what was kept and what is lost."""
+        """Copy all undamaged records; return statistics of recovered and lost data."""
         salvage = self._salvage
         for opcode, offset, length in whole_records(self._source, self._layout):
             if opcode == Opcode.CHUNK:
@@ -360,13 +382,14 @@ class _Copy:
             elif opcode == Opcode.DATA_END and length == _DATA_END_BYTES:
                 salvage.ended = True
             elif salvage.ended:
-                continue  # the summary is made anew
+                continue  # the summary is written again
             elif opcode in _EXPLANATIONS:
                 self._explanation(opcode, offset, length)
             else:
-                what = f"a record of the unknown kind {opcode:#04x}"
+                what = f"a record of unknown type {opcode:#04x}"
                 salvage.lose(Damage(offset, length, what))
-        if salvage.ended:  # else the tear cut the indexes of the last chunk off
+        # Without the data end, the tear has cut off the indexes of the last chunk.
+        if salvage.ended:
             self._indexed.end_chunk()
         salvage.misindexed = self._indexed.wrong
         self._routes.finish()
@@ -395,7 +418,7 @@ class _Copy:
 
     def _loose(self, offset: int, length: int) -> None:
         if length < _MESSAGE.size:
-            self._salvage.lose(Damage(offset, length, "a message without a head"))
+            self._salvage.lose(Damage(offset, length, "a message without a header"))
             return
         content = self._read(offset, length)
         self._message((*_MESSAGE.unpack_from(content), content[_MESSAGE.size :]))
@@ -429,13 +452,13 @@ class _Copy:
 
 
 def _parsed(data: bytes) -> list[tuple[int, Schema | Channel | _Message]]:
-    """Return (offset, record) of everything in a chunk, parsed before any of it is used."""
+    """Return (offset, record) of all records of a chunk after parsing all of them."""
     out: list[tuple[int, Schema | Channel | _Message]] = []
     for opcode, offset, length in records_in(data):
         start = offset + RECORD_HEADER.size
         if opcode == Opcode.MESSAGE:
             if length < _MESSAGE.size:
-                raise Torn("a chunk with a message without a head")
+                raise Torn("a chunk with a message without a header")
             content = data[start + _MESSAGE.size : start + length]
             out.append((offset, (*_MESSAGE.unpack_from(data, start), content)))
         elif opcode == Opcode.SCHEMA:
@@ -446,20 +469,23 @@ def _parsed(data: bytes) -> list[tuple[int, Schema | Channel | _Message]]:
 
 
 class _Route(NamedTuple):
-    """Where the messages of a channel go: its number in the new file, and its count."""
+    """Destination of the messages of a channel: channel number in the new file, and statistics."""
 
     channel: int
     kept: Kept
 
 
 class _Routes:
-    """All channels of a torn file, registered in the new one as they are met.
+    """Mapping of the channels of a torn file to channels of the new file.
+
+    A channel is registered in the new file when its first message is copied.
 
     Args:
-        path: The torn file, for messages.
-        layout: What is known of its channels from outside the chunks.
-        tally: Where messages are counted.
-        writer: Of the new file; None where none is written.
+        path: Name of the torn file, used in error messages.
+        layout: Layout of the torn file with the channels and schemas that are defined outside the
+            chunks.
+        tally: Statistics to which the copied messages are added.
+        writer: Writer of the new file; None if no file is written.
     """
 
     def __init__(self, path: Path, layout: Layout, tally: Tally, writer: Writer | None) -> None:
@@ -470,7 +496,7 @@ class _Routes:
         self._new_schemas: dict[tuple[str, str, bytes], int] = {_NO_SCHEMA: 0}
 
     def define(self, record: Schema | Channel) -> None:
-        """Take a definition as a chunk has it."""
+        """Store a channel or schema definition from a chunk."""
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         else:
@@ -478,10 +504,10 @@ class _Routes:
         self._routes.clear()
 
     def of(self, channel: int) -> _Route | None:
-        """Return where the messages of a channel go; None if it is defined nowhere.
+        """Return the destination of the messages of a channel; None if the channel is undefined.
 
         Raises:
-            DataError: The file defines more channels than a file can have.
+            DataError: The torn file defines more channels than an MCAP file can have.
         """
         if channel not in self._routes:
             definition = self._definition(channel)
@@ -492,7 +518,7 @@ class _Routes:
         return self._routes[channel]
 
     def finish(self) -> None:
-        """Register the channels that have no messages, too."""
+        """Register the remaining channels, which have no messages, in the new file."""
         for channel in self._channels:
             self.of(channel)
 
@@ -500,7 +526,7 @@ class _Routes:
         channel = self._channels.get(number)
         if channel is None:
             return None
-        if channel.schema_id == 0:  # by the format: there is none
+        if channel.schema_id == 0:  # the format uses 0 for a channel without a schema
             return Definition.of(channel, None)
         schema = self._schemas.get(channel.schema_id)
         return None if schema is None else Definition.of(channel, schema)
@@ -509,7 +535,7 @@ class _Routes:
         if len(self._new_channels) >= _MOST_CHANNELS:
             raise DataError(
                 f"{self._path} defines more than {_MOST_CHANNELS} channels",
-                hint="nothing writes such files: take it from a copy that is whole",
+                hint="no recorder writes such files: restore an undamaged copy from a backup",
             )
         new = len(self._new_channels) + 1
         if self._writer is not None:
@@ -525,10 +551,11 @@ class _Routes:
 
 
 class _IndexCheck:
-    """Whether the message indexes behind a chunk lead to its messages: no checksum covers them.
+    """Check of the message indexes that follow a chunk, which no checksum protects.
 
-    Gets every message of a chunk, then every index behind it; counts wrong chunks. A chunk without
-    any index is right: writers may leave them out.
+    The caller passes every message of a chunk to the check, followed by every message index of the
+    chunk. The check counts the chunks with wrong message indexes. A chunk without message indexes
+    is valid, because MCAP writers are allowed to omit the indexes.
     """
 
     def __init__(self) -> None:
@@ -537,11 +564,11 @@ class _IndexCheck:
         self._seen = self._failed = self._ignored = False
 
     def expect(self, channel: int, log_ns: int, offset: int) -> None:
-        """Take a message of the chunk."""
+        """Add a message of the current chunk."""
         self._expected[channel].append((log_ns, offset))
 
     def see(self, file: IO[bytes], offset: int, length: int) -> None:
-        """Take a message index: where its content is in the file."""
+        """Compare the message index at `offset` in the file with the messages of the chunk."""
         self._seen = True
         if length < INDEX_HEADER.size:
             self._failed = True
@@ -549,20 +576,21 @@ class _IndexCheck:
         file.seek(offset)
         channel, _ = INDEX_HEADER.unpack(file.read(INDEX_HEADER.size))
         expected = self._expected.pop(channel, [])
-        # Only an index of the right length is read: a wrong one may claim the whole file.
+        # Only an index of the expected length is read, because a wrong length can span the whole
+        # file.
         if length != INDEX_HEADER.size + INDEX_ENTRY_BYTES * len(expected):
             self._failed = True
             return
         entries = np.frombuffer(file.read(INDEX_ENTRY_BYTES * len(expected)), "<u8")
-        # Some writers sort the entries by time, others leave them as the messages came.
+        # Some writers sort the entries by time, others keep the order of the messages.
         self._failed |= not np.array_equal(_sorted(entries), _sorted(expected))
 
     def ignore_chunk(self) -> None:
-        """Expect nothing: the chunk is damaged, so nothing is known of its messages."""
+        """Skip the check of a damaged chunk, whose messages are unknown."""
         self._ignored = True
 
     def end_chunk(self) -> None:
-        """Judge the chunk: its indexes are over."""
+        """Finish the check of a chunk after its last index."""
         failed = self._failed or bool(self._expected)
         self.wrong += self._seen and failed and not self._ignored
         self._expected.clear()
@@ -570,6 +598,6 @@ class _IndexCheck:
 
 
 def _sorted(pairs: Any) -> NDArray[np.uint64]:
-    """Return (N, 2) log times [ns] and offsets, by time and then by offset."""
+    """Return an (N, 2) array of log times [ns] and offsets, sorted by time, then by offset."""
     table = np.asarray(pairs, np.uint64).reshape(-1, 2)
     return table[np.lexsort((table[:, 1], table[:, 0]))]

@@ -1,14 +1,14 @@
-"""Messages of ROS 2 that every viewer shows: a copy of the robot's state, and events as a log.
+"""ROS 2 messages that every viewer displays: joint states and log messages for events.
 
-Written into recordings and sent by the live view. Joint states are a decimated copy of the base
-robot record. Names and frame never change within a file, so every message has the same size and the
-constant parts are written once into a template row; only stamp, position, velocity and effort are
-filled.
+These ROS 2 messages are written into recordings and sent by the live view. The joint state messages
+are a decimated copy of the base robot record. Joint names and frame are constant within a file, so
+that every joint state message has the same size. The constant parts of a joint state message are
+stored in a template row; only stamp, position, velocity and effort are filled in.
 
-Events are `rcl_interfaces/msg/Log`, which log panels show. JSON messages with a `jsonschema` would
-be simpler, but rosbags refuses a whole file that holds one (KeyError on the schema encoding), and a
-`ros2` profile promises CDR. So the event's kind is the logger's name and the event itself is the
-message, as JSON text.
+Events are converted to `rcl_interfaces/msg/Log` messages, which log panels display. JSON messages
+with a `jsonschema` would be simpler, but rosbags rejects a whole file that contains such a message
+(KeyError on the schema encoding), and the MCAP profile `ros2` requires CDR. In a log message, the
+kind of the event is therefore the logger name, and the message text is the event as JSON.
 """
 
 from __future__ import annotations
@@ -41,7 +41,10 @@ uint32 nanosec
 """
 
 MAX_RATE_HZ = 60.0
-"""What a screen can show; the full rate is in the base record."""
+"""Maximum rate of JointState messages [Hz], which is sufficient for a display.
+
+The base robot record keeps the full rate.
+"""
 
 EVENT_TOPIC = "/events"
 EVENT_SCHEMA = "rcl_interfaces/msg/Log"
@@ -60,14 +63,14 @@ uint32 nanosec
 """
 
 _INFO = 20
-"""Level of an ordinary event; 10 debug, 30 warning, 40 error."""
+"""Log level of an ordinary event; the levels are 10 debug, 20 info, 30 warning, 40 error."""
 
 
 class JointStateView:
-    """Turns blocks of state rows into at most 60 JointState messages a second.
+    """Converter of blocks of state rows into at most 60 JointState messages per second.
 
     Args:
-        joint_names: Names in the order of the state record, length n.
+        joint_names: Joint names in the order of the state record, length n.
         rate_hz: Rate of the state rows [Hz].
     """
 
@@ -77,22 +80,25 @@ class JointStateView:
         self._seen = 0
 
     def select(self, rows: StructArray) -> StructArray:
-        """Return the rows of this block that are shown: every `every`-th, counted across blocks."""
+        """Return every `every`-th row of the stream of rows.
+
+        The counting of rows continues across blocks.
+        """
         first = -self._seen % self.every
         self._seen += len(rows)
         return rows[first :: self.every]
 
     def encode(self, rows: StructArray) -> StructArray:
-        """Return one CDR message per state row; the stamp is `host_time` (0 where it is unknown).
+        """Return one CDR message per state row; the stamp is `host_time`, or 0 if unknown.
 
         Raises:
-            ValueError: The rows have another number of joints than there are names.
+            ValueError: The number of joints in the rows differs from the number of joint names.
         """
         n_names, n_joints = self._template.dtype["position"].shape[0], n_joints_of(rows)
         if n_names != n_joints:
             raise ValueError(f"{n_names} joint names for a state of {n_joints} joints")
         messages = np.repeat(self._template, len(rows))
-        # fmax takes the 0 where the host time is NaN.
+        # fmax returns 0 if the host time is NaN.
         stamp = np.fmin(np.fmax(rows["host_time"], 0.0), 2.0**31 - 1)
         messages["sec"] = stamp
         messages["nanosec"] = stamp % 1.0 * 1e9
@@ -102,14 +108,14 @@ class JointStateView:
 
 
 def _template(joint_names: tuple[str, ...]) -> StructArray:
-    """Return a one-row array with everything constant filled in, CDR header included."""
+    """Return a template row with all constant fields filled in, including the CDR header."""
     n = len(joint_names)
-    # frame_id and the sequence of names, from byte 8 of the message on, padded to 4 bytes
+    # frame_id and the sequence of names, starting at byte 8 of the message, padded to 4 bytes
     names = cdr_string("") + struct.pack("<I", n) + b"".join(map(cdr_string, joint_names))
     fields: list[Any] = [("cdr", "V4"), ("sec", "<i4"), ("nanosec", "<u4")]
     fields += [("names", f"V{len(names)}")]
     for quantity in ("position", "velocity", "effort"):
-        # Sequences follow each other: a count, padding to the doubles' alignment, the doubles.
+        # Each sequence consists of a count, padding to the alignment of doubles, and the doubles.
         offset = np.dtype(fields).itemsize - len(CDR_HEADER)
         fields += [
             (f"{quantity}_count", "<u4"),
@@ -125,7 +131,7 @@ def _template(joint_names: tuple[str, ...]) -> StructArray:
 
 
 def encode_event(event: Mapping[str, Any]) -> bytes:
-    """Return the CDR message of one event; it has `t` (Unix time [s]) and `kind`."""
+    """Return the CDR message of one event; the event has `t` (Unix time [s]) and `kind`."""
     return encode_log(float(event["t"]), _INFO, str(event["kind"]), json_line(event))
 
 
@@ -134,9 +140,9 @@ def encode_log(t: float, level: int, name: str, text: str) -> bytes:
 
     Args:
         t: Unix time [s].
-        level: 10 debug, 20 info, 30 warning, 40 error.
-        name: Name of the logger.
-        text: The line.
+        level: Log level of the line: 10 debug, 20 info, 30 warning, 40 error.
+        name: Name of the logger, displayed with the message.
+        text: Text of the log message.
     """
     stamp = max(0.0, t)
     body = struct.pack("<iIB3x", int(stamp), int(stamp % 1.0 * 1e9), level)

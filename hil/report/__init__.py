@@ -1,12 +1,14 @@
-"""One self-contained HTML page per run or model, and the same summary for a terminal.
+"""HTML reports and terminal summaries of runs and models, and their figures.
 
-What is shown is read leniently (`documents`, `run_facts`, `fit_facts`, `run_recording`), predicted
-(`predictions`) and put into words (`words`, `run_summary`, `next_step`). Pages (`run_report`,
-`model_sections`, `study_sections`, `*_page`) are made of the blocks of `page`. Figures are
-described once (`hil.studies.figure`, `figure_list`), and drawn by plotly in pages and by matplotlib
-in files (`plotly_figure`, `matplotlib_figure`, `paper`, `plan_drawing`).
+Every report is one self-contained HTML page. The modules `documents`, `run_facts`, `fit_facts` and
+`run_recording` read files and tolerate missing or damaged files. The module `predictions` computes
+model predictions for figures. The modules `words`, `run_summary` and `next_step` write the texts of
+reports. The modules `run_report`, `model_sections`, `study_sections` and `*_page` compose pages
+from the blocks of `page`. The modules `hil.studies.figure` and `figure_list` describe figures
+independently of a plotting library. The module `plotly_figure` draws figures in pages;
+`matplotlib_figure`, `paper` and `plan_drawing` draw figures in files.
 
-plotly, matplotlib and Jinja2 are imported when something is drawn, not before.
+The libraries plotly, matplotlib and Jinja2 are imported only when needed.
 """
 
 import lazy_loader

@@ -1,10 +1,12 @@
-"""One visual language for every figure: colours by meaning, looks by the order of names.
+"""Colours, line styles and markers of all figures: colours by meaning, looks by curve names.
 
-Okabe & Ito, 'Color Universal Design' (2008): eight colours that people with every common form of
-colour blindness tell apart. Theirs are for areas; as thin lines and small marks, some are too light
-for white paper (contrast below 3:1, WCAG 2.2, 1.4.11). Those are darker here, and all of them as
-far apart as that leaves room for, which `tests/report/test_figures.py` computes. Figures never rely
-on colour alone: dashes, marks and patterns differ too.
+The colours derive from the palette of Okabe & Ito, 'Color Universal Design' (2008), whose eight
+colours are distinguishable with every common form of colour blindness. The palette of Okabe & Ito
+is intended for areas; for thin lines and small marks, some of its colours are too light on white
+paper (contrast below 3:1, WCAG 2.2, 1.4.11). The light colours of the palette are darkened here,
+while all colours remain as different from each other as possible (computed in
+`tests/report/test_figures.py`). Figures never rely on colour alone: curves also differ in dash
+pattern, mark or fill pattern.
 """
 
 from __future__ import annotations
@@ -19,15 +21,15 @@ RESIDUAL = "#009E73"
 LIMIT = "#B974A8"
 NEUTRAL = "#595959"
 UP = "#0072B2"
-"""Poses approached from below."""
+"""Colour of poses that were approached from below."""
 DOWN = "#CD7D00"
-"""Poses approached from above."""
+"""Colour of poses that were approached from above."""
 
 SELDOM, OFTEN = "#639ABF", "#003A5C"
-"""Ends of the scale of counts: one hue, told apart by lightness."""
+"""First and last colour of the scale of counts: one hue, from light to dark."""
 
 FILL = "#BFD9EA"
-"""Of areas behind the data, whose edges are drawn in a colour that shows."""
+"""Colour of areas behind the data; the edges of the areas have a colour of higher contrast."""
 
 JOINTS = ("#0072B2", "#CD7D00", "#009E73", "#AC3F00", "#B974A8", "#3493FF", "#595959")
 DASHES = ("solid", "dash", "dot", "longdash", "dashdot", "longdashdot", "solid")
@@ -45,7 +47,9 @@ DARK = {
     "#003A5C": "#BDE3FF",
     "#BFD9EA": "#1F4E6B",
 }
-"""What each colour becomes on a dark page: the same hue, light enough to be read there."""
+"""Colours on a dark page, by colour on a light page: the same hue, but bright enough to be
+readable.
+"""
 
 STROKES = {
     "solid": "",
@@ -55,7 +59,7 @@ STROKES = {
     "dashdot": "6 2 2 2",
     "longdashdot": "9 2 2 2",
 }
-"""Each dash in a legend, as SVG has it."""
+"""Dash patterns of a legend, as SVG values of `stroke-dasharray`."""
 
 GLYPHS = {
     "circle": "●",
@@ -69,10 +73,10 @@ GLYPHS = {
     "cross": "✚",
     "x": "✖",
 }
-"""Each mark in a legend."""
+"""Unicode characters that represent the marks in a legend."""
 
 PALETTE = (MEASURED, PREDICTED, RESIDUAL, DOWN, LIMIT, JOINTS[5], NEUTRAL)
-"""Of curves that have no look of their own."""
+"""Colours of curves without an explicit look."""
 
 CURVE_SYMBOLS = (
     "circle",
@@ -83,7 +87,11 @@ CURVE_SYMBOLS = (
     "diamond-open",
     "cross",
 )
-"""Full and open in turn: in a dense cloud shapes alone tell nothing."""
+"""Marks of curves without an explicit look, in the order of use: filled and open marks
+alternate.
+
+In a dense point cloud, the shape of a mark alone cannot be recognized.
+"""
 
 PATTERNS = ("", "/", "x", ".", "\\", "+", "-")
 
@@ -91,13 +99,23 @@ IDENTITY = Look(NEUTRAL, "dash", width=1.4)
 
 
 def of_joint(j: int) -> Look:
-    """Look of joint `j`, counted from 0: lines differ in print as well."""
+    """Return the look of joint `j`, counted from 0.
+
+    The dash patterns of the joints also differ, so that the lines are distinguishable in
+    black-and-white print.
+    """
     k = j % len(JOINTS)
     return Look(JOINTS[k], DASHES[k], SYMBOLS[k])
 
 
 def look(i: int, line: int = 0) -> Look:
-    """Look of the series `i` of a figure, which is its line number `line`, counted from 0."""
+    """Return the look of series `i` of a figure.
+
+    Args:
+        i: Index of the series, counted from 0; the index selects colour, mark and pattern.
+        line: Index of the series among the lines, counted from 0; this index selects the dash
+            pattern.
+    """
     return Look(
         PALETTE[i % len(PALETTE)],
         DASHES[line % len(DASHES)],
@@ -108,15 +126,14 @@ def look(i: int, line: int = 0) -> Look:
 
 
 def looks_of(figure: Figure, models: Sequence[str] = ()) -> dict[str, Look]:
-    """Return a look for every name that has none of its own, the same in all panels.
+    """Return a look for every curve name without an explicit look, the same look in all panels.
 
-    Curves that are not told apart by their name share a look; a line that is alone among lines is
-    solid, whatever else there is.
+    Curves with the same name share a look. The first line of a figure is drawn solid, not dashed.
 
     Args:
-        figure: Its curves.
-        models: Models that look as in the other figures of the page, in their order there; nothing
-            else looks like one of them.
+        figure: Figure with the curves that need a look.
+        models: Names of all models of the page, in the order of the page. A model has the same look
+            in all figures of the page, and no other curve gets the look of a model.
     """
     looks: dict[str, Look] = {name: look(i, i) for i, name in enumerate(models)}
     lines = 0

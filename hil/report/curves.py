@@ -1,8 +1,9 @@
-"""Curves on their way to a drawer: looks filled in, and fewer points for the same picture.
+"""Preparation of curves for drawing: default looks and reduction of the number of points.
 
-`dressed` is what plotly and matplotlib are given: every curve has its look, and no more points than
-can be seen. The functions below thin samples when a figure is built, which nobody sees either:
-a line keeps its extremes, a cloud its density.
+`dressed` prepares a figure for plotly and matplotlib: every curve gets a look, and points that
+would not be visible are removed. Other functions of the module reduce the number of samples when a
+figure is created. The reduction is not visible: a line keeps its extreme values, and a point cloud
+keeps its density.
 """
 
 from __future__ import annotations
@@ -23,20 +24,24 @@ Shown: TypeAlias = Literal["extremes", "mean", "upper"]
 Thin: TypeAlias = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 POINTS = 1200
-"""Points of a line after decimation: more than a plot of this page has pixels."""
+"""Maximum number of points of a line after decimation; this number exceeds the width of a plot
+in pixels.
+"""
 
 
 Entry: TypeAlias = tuple[str, str, str]
-"""Of a legend: text, colour, and a dash of `colours.STROKES`, `band` or a mark."""
+"""Legend entry: text, colour, and sign (name of a dash pattern in `colours.STROKES`, `band`, or
+name of a mark).
+"""
 
 
 def dressed(figure: Figure, points: int = 0, models: Sequence[str] = ()) -> Figure:
-    """Return the figure with a look for every curve, and panels that stand alone wide.
+    """Return the figure with a look for every curve; a single panel gets the full page width.
 
     Args:
-        figure: Its curves may have looks of their own, or none.
-        points: At most so many are kept of each curve; 0 for all.
-        models: See `looks_of`.
+        figure: Figure whose curves have an explicit look or no look.
+        points: Maximum number of points of each curve; 0 keeps all points.
+        models: Names of all models of the page, as in `looks_of`.
     """
     looks = looks_of(figure, models)
 
@@ -53,9 +58,10 @@ def dressed(figure: Figure, points: int = 0, models: Sequence[str] = ()) -> Figu
 
 
 def legend(figure: Figure) -> list[Entry]:
-    """Return the entries of a dressed figure, one per name; none where there is nothing to tell.
+    """Return the legend entries of a dressed figure, one per curve name; empty for a single name.
 
-    Bars are left out: a drawer shows their patterns in a legend of its own.
+    Bars are omitted from the legend entries, because the plotting library shows the patterns of
+    bars in a separate legend.
     """
     entries: dict[str, Entry] = {}
     for panel in figure.panels:
@@ -82,26 +88,30 @@ def _sign(curve: Curve) -> str:
 
 
 def has_names(curve: Curve) -> bool:
-    """Return whether its x are names (or dates) and not numbers."""
+    """Return whether the x values of a curve are names or dates instead of numbers."""
     if isinstance(curve.x, np.ndarray) and curve.x.dtype.kind in "fiu":
         return False
     return any(isinstance(x, str) for x in curve.x)
 
 
 def y_of(curve: Curve) -> FloatArray:
-    """(N,) its values."""
+    """Return the (N,) y values of a curve."""
     return np.asarray(curve.y, dtype=np.float64)
 
 
 def x_of(curve: Curve) -> FloatArray:
-    """(N,) its places; of names, their numbers from 0."""
+    """Return the (N,) x values of a curve; names are replaced by their index from 0."""
     if has_names(curve):
         return np.arange(len(curve.x), dtype=np.float64)
     return np.asarray(curve.x, dtype=np.float64)
 
 
 def fewer(curve: Curve, points: int) -> Curve:
-    """Return the same picture with at most `points` points: a line keeps its extremes."""
+    """Return a curve that looks the same but has at most `points` points.
+
+    The reduction of a line keeps its extreme values; the reduction of other curves keeps evenly
+    spaced points.
+    """
     if has_names(curve) or len(curve.y) <= points:
         return curve
     rows = thinned(len(curve.y), points)
@@ -113,7 +123,7 @@ def fewer(curve: Curve, points: int) -> Curve:
 
 
 def categories(panel: Panel) -> list[str]:
-    """Return the names along x in the order in which they first occur; empty for numbers."""
+    """Return the names along x in the order of their first occurrence; empty for numbers."""
     if panel.x_axis.scale == "date":
         return []
     named = [curve for curve in panel.curves if has_names(curve)]
@@ -121,14 +131,14 @@ def categories(panel: Panel) -> list[str]:
 
 
 def diagonal(panel: Panel) -> FloatArray:
-    """(2,) from where to where the line y = x is drawn: over everything else in the panel."""
+    """Return the (2,) ends of the line y = x over the range of all other curves of the panel."""
     others = [curve for curve in panel.curves if curve.style != "identity" and len(curve.y)]
     parts = [values for curve in others for values in (x_of(curve), y_of(curve))]
     return np.array(span(np.concatenate(parts) if parts else np.empty(0)))
 
 
 def span(values: FloatArray) -> tuple[float, float]:
-    """Smallest and largest finite value, never equal."""
+    """Return the smallest and largest finite value; equal values are widened by ±0.5."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
         return 0.0, 1.0
@@ -137,15 +147,15 @@ def span(values: FloatArray) -> tuple[float, float]:
 
 
 def extremes(values: FloatArray, points: int = POINTS) -> IntArray:
-    """Rows that keep the picture of a line: the smallest and the largest value per bin.
+    """Return row numbers that preserve the picture of a line: smallest and largest value per bin.
 
     Args:
-        values: (N,) samples in order; NaN is ignored inside a bin and kept where a bin has
-            nothing else, so that gaps stay gaps.
-        points: At most this many rows come back, ≥ 4.
+        values: (N,) samples in the order of drawing. A NaN value is ignored inside a bin, but
+            retained if the bin contains only NaN, so that gaps remain visible.
+        points: Maximum number of returned row numbers, at least 4.
 
     Returns:
-        (M,) row numbers in rising order, M ≤ `points`; the first and last row are always there.
+        (M,) increasing row numbers, M ≤ `points`; the first and the last row are always included.
     """
     n = len(values)
     if n <= points:
@@ -163,25 +173,28 @@ def extremes(values: FloatArray, points: int = POINTS) -> IntArray:
 
 
 def decimated(x: FloatArray, y: FloatArray, points: int = POINTS) -> tuple[FloatArray, FloatArray]:
-    """A line (N,), (N,) thinned by `extremes` of `y`."""
+    """Return the x and y values (N,) of a line, reduced to the rows `extremes` of `y`."""
     rows = extremes(y, points)
     return x[rows], y[rows]
 
 
 SUMMARISED = 300
-"""Points of a line that is summarised."""
+"""Number of points of a line that is reduced by averages or maxima."""
 
 
 def summarised(
     x: FloatArray, y: FloatArray, shown: Shown = "extremes"
 ) -> tuple[FloatArray, FloatArray]:
-    """A line (N,), (N,) for a plot that holds several, of `SUMMARISED` points unless `extremes`.
+    """Return x and y values (N,) of a line with fewer points, for a plot with several lines.
 
     Args:
-        x: In order.
-        y: What is drawn over it.
-        shown: `extremes` keeps every one; `mean` is for slow, noisy quantities whose trend
-            matters, `upper` for magnitudes, of which the largest matter.
+        x: (N,) increasing values.
+        y: (N,) values over x.
+        shown: Kind of reduction: `extremes`, `mean` or `upper`. The reduction `extremes` keeps
+            extreme values, with up to `POINTS` points. The reduction `mean` averages over
+            `SUMMARISED` intervals and is suitable for slow, noisy quantities whose trend matters.
+            The reduction `upper` keeps the maximum of `SUMMARISED` intervals and is suitable for
+            magnitudes.
     """
     if shown == "extremes" or len(x) <= 2 * SUMMARISED:
         return decimated(x, y)
@@ -196,13 +209,13 @@ def summarised(
 def in_parts(
     thin: Thin, x: FloatArray, y: FloatArray, begins: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """A line (N,), (N,) of several parts, each thinned by itself and NaN between them.
+    """Return x and y values of a line whose parts are reduced separately, with NaN between parts.
 
     Args:
-        thin: Thins one part.
-        x: In order.
-        y: What is drawn over it.
-        begins: Rows at which the parts after the first begin.
+        thin: Function that reduces one part of the line.
+        x: (N,) increasing values.
+        y: (N,) values over x.
+        begins: Row number at the start of each part except the first part.
     """
     parts = [thin(x[a:b], y[a:b]) for a, b in pairwise((0, *begins, len(x))) if b > a]
     gap = np.full(1, np.nan)
@@ -213,7 +226,10 @@ def in_parts(
 
 
 def thinned(n: int, points: int) -> IntArray:
-    """At most `points` of `n` row numbers, evenly spread; for clouds, where density matters."""
+    """Return at most `points` evenly spaced row numbers out of `n` rows.
+
+    The even spacing of the selected rows preserves the density of a point cloud.
+    """
     if n <= points:
         return np.arange(n)
     return np.linspace(0, n - 1, points).round().astype(np.int64)
@@ -222,16 +238,16 @@ def thinned(n: int, points: int) -> IntArray:
 def binned(
     x: FloatArray, y: FloatArray, bins: int = 30, least: int = 5
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean and standard deviation of `y` over equally wide bins of `x`.
+    """Return the mean and the standard deviation of `y` in equally wide bins of `x`.
 
     Args:
         x: (N,), finite.
         y: (N,), finite.
-        bins: How many bins between the smallest and the largest `x`.
-        least: Bins with fewer samples are left out.
+        bins: Number of bins between the smallest and the largest `x`.
+        least: Minimum number of samples per bin; bins with fewer samples are omitted.
 
     Returns:
-        Centres, means and standard deviations, each (M,) with M ≤ `bins`.
+        Bin centres, means and standard deviations, each of shape (M,) with M ≤ `bins`.
     """
     if len(x) == 0 or np.ptp(x) == 0:
         return np.empty(0), np.empty(0), np.empty(0)

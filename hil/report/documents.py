@@ -1,8 +1,9 @@
-"""A run's small files, read leniently.
+"""Tolerant reading of the small files of a run.
 
-A report is most wanted of a run that went wrong, so nothing here raises for a bad value: what is
-absent is empty, what is damaged is empty and named in `problems`, and a value of another type
-than expected counts as absent (`as_object`, `as_float`, …).
+Reports matter most for failed runs, so that no function of this module raises an error for an
+invalid value. A missing file yields an empty result. A damaged file also yields an empty result,
+and the error of the file is added to `problems`. A value of an unexpected type is treated as
+missing (`as_object`, `as_float`, …).
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ Document: TypeAlias = Mapping[str, Any]
 
 
 def document(path: Path, problems: list[str]) -> Document:
-    """The JSON object in a file; empty when absent or damaged, the latter added to `problems`."""
+    """Return the JSON object in a file; an empty object if the file is missing or damaged.
+
+    The error of a damaged file is added to the list `problems`.
+    """
     if not path.exists():
         return {}
     try:
@@ -29,7 +33,7 @@ def document(path: Path, problems: list[str]) -> Document:
 
 
 def yaml_source(path: Path, problems: list[str]) -> Source:
-    """Return the parsed YAML of a file; without data when it is absent or damaged."""
+    """Return the parsed YAML of a file; without data if the file is missing or damaged."""
     if not path.is_file():
         return Source(str(path))
     try:
@@ -40,29 +44,29 @@ def yaml_source(path: Path, problems: list[str]) -> Source:
 
 
 def as_object(value: Any) -> Document:
-    """A value where an object is expected; anything else is an empty one."""
+    """Return a value that should be a JSON object; an empty object replaces any other value."""
     return value if isinstance(value, dict) else {}
 
 
 def as_objects(value: Any) -> Sequence[Document]:
-    """The objects of a list; whatever else is in it is left out."""
+    """Return the JSON objects in a list; items of other types are omitted."""
     return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
 
 
 def as_float(value: Any) -> float:
-    """A value where a number is expected; anything else is NaN."""
+    """Return a value that should be a number as a float; NaN replaces any other value."""
     try:
         return float(value) if isinstance(value, int | float) else float("nan")
-    except OverflowError:  # a whole number of hundreds of digits
+    except OverflowError:  # an integer that is too large for a float
         return float("nan")
 
 
 def as_index(value: Any, default: int = -1) -> int:
-    """A value where a small whole number is expected; anything else is the default."""
+    """Return a value that should be a small integer; the default replaces any other value."""
     fits = isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**31
     return value if fits else default
 
 
 def as_names(value: Any) -> tuple[str, ...]:
-    """A list of names."""
+    """Return a list of names as a tuple; an empty tuple replaces any other value."""
     return tuple(str(item) for item in value) if isinstance(value, list) else ()

@@ -1,4 +1,4 @@
-"""The page of `hil excite`: what trajectories tell, what they leave of every limit, how they go."""
+"""Page of `hil optimise`: condition number, margins and motion of excitation trajectories."""
 
 from __future__ import annotations
 
@@ -36,26 +36,31 @@ if TYPE_CHECKING:
 DEGREES = 180 / np.pi
 
 OPEN = 2
-"""Trajectories that are open on the page; the others open on a click."""
+"""Number of trajectories whose sections are initially open."""
 
 POINTS = 240
-"""Of a line: a page with twelve trajectories has hundreds of them."""
+"""Maximum number of points of a line in this page.
+
+The maximum is low because a page with twelve trajectories contains hundreds of lines.
+"""
 
 TOLERANCE = 1e-9
-"""Motions that bind at a limit may exceed it by rounding."""
+"""Tolerance for limit violations, because a motion at its limit possibly exceeds the limit by a
+rounding error.
+"""
 
 
 def write_excitation_page(report: ExcitationReport, path: Path) -> Path:
-    """Write the page to `path`, replacing an older one whole.
+    """Write the page of an excitation report to `path`, replacing an older page atomically.
 
     Raises:
-        RecordingError: The file cannot be written.
+        RecordingError: The page cannot be written.
     """
     return write_page(excitation_page(report), path)
 
 
 def excitation_page(report: ExcitationReport) -> Page:
-    """The page as blocks."""
+    """Return the page of an excitation report."""
     appraisal, experiment = report.appraisal, report.experiment
     return Page(
         title=experiment.spec.name,
@@ -69,8 +74,8 @@ def excitation_page(report: ExcitationReport) -> Page:
             Section("margins", "Margins", "", (margin_table(report),)),
             *(_trajectory(report, i) for i in range(len(appraisal.trajectories))),
         ),
-        footer="Computed from the motions as they would be commanded, not from the search that "
-        "found them; torques are those of the nominal rigid body, without friction.",
+        footer="Computed from the motions as they would be commanded, not copied from the "
+        "optimisation. Torques are those of the nominal rigid-body model without friction.",
     )
 
 
@@ -85,8 +90,8 @@ def _summary(report: ExcitationReport) -> str:
     total = len(report.appraisal.trajectories)
     seconds = sum(each.series.duration_s for each in report.appraisal.trajectories)
     asked = report.spec.optimise
-    made = "drawn at random" if asked is None else "optimised, each to complement those before it"
-    return f"{total} trajectories of {duration(seconds)} together, {made}."
+    made = "drawn at random" if asked is None else "each optimised to complement those before it"
+    return f"{total} trajectories of {duration(seconds)} in total, {made}."
 
 
 def _key_figures(report: ExcitationReport) -> list[KeyFigure]:
@@ -107,7 +112,9 @@ def _key_figures(report: ExcitationReport) -> list[KeyFigure]:
         middle = float(np.median(list(ratios.values())))
         figures.insert(
             2,
-            KeyFigure("standard errors", f"{middle:.2f} ×", "smaller, the parameter in the middle"),
+            KeyFigure(
+                "standard errors", f"{middle:.2f} ×", "smaller than random draws (median parameter)"
+            ),
         )
     return figures
 
@@ -118,20 +125,24 @@ def _worth(report: ExcitationReport) -> Section:
     if random is not None:
         panels.insert(0, standard_errors(appraisal, random))
     lead = (
-        f"Of the regressor of all {len(appraisal.jointly.names)} base parameters. Standard errors "
-        "say how well parameters are told: those from random draws over those from these "
-        "trajectories, for the same noise. A condition number says how evenly they are told, "
-        "however well."
+        f"Properties of the regressor of all {len(appraisal.jointly.names)} base parameters. "
+        "Standard errors show how accurately the parameters are identified: the plot divides those "
+        "of random draws by those of these trajectories, for equal noise. The condition number "
+        "shows only how evenly the parameters are identified."
     )
     blocks: list[Block] = [
         Figure("together", "Together", lead, tuple(panels), 0),
         condition_table(report),
     ]
-    return Section("worth", "What they tell", "", tuple(blocks))
+    return Section("worth", "Information", "", tuple(blocks))
 
 
 def standard_errors(appraisal: Appraisal, random: Appraisal) -> Panel:
-    """Standard errors of random draws over those of these trajectories, parameter by parameter."""
+    """Return a panel with the ratio of standard errors for each parameter.
+
+    The ratio is the standard error of a parameter with random trajectories divided by the standard
+    error with the optimised trajectories.
+    """
     ratio = random.jointly.standard_errors / appraisal.jointly.standard_errors
     order = np.argsort(ratio)
     names = [appraisal.jointly.names[i].split(" ")[0] for i in order]
@@ -139,20 +150,20 @@ def standard_errors(appraisal: Appraisal, random: Appraisal) -> Panel:
     mark = Look(colours.MEASURED, size=7, opacity=1.0)
     return Panel(
         "Standard errors",
-        "parameter, in this order [1]",
-        "random over these [1]",
+        "parameter, sorted by ratio [1]",
+        "random draws / these [1]",
         (
             Curve("equal", rank[[0, -1]], np.ones(2), look=Look(colours.NEUTRAL, "dot")),
             Curve("these", rank, ratio[order], "points", (), mark, names),
         ),
-        alt=f"Between {ratio.min():.2f} and {ratio.max():.2f}, "
-        f"{np.median(ratio):.2f} in the middle.",
+        alt=f"Ratios between {ratio.min():.2f} and {ratio.max():.2f}, "
+        f"median {np.median(ratio):.2f}.",
         y_axis=Axis(from_zero=True),
     )
 
 
 def condition_by_number(appraisal: Appraisal, random: Appraisal | None) -> Panel:
-    """Joint condition number of the first, the first two, … trajectories."""
+    """Return a panel with the condition number of the first one, two, … trajectories together."""
 
     def values(whose: Appraisal) -> FloatArray:
         return np.array([each.jointly.condition_scaled for each in whose.trajectories])
@@ -163,13 +174,14 @@ def condition_by_number(appraisal: Appraisal, random: Appraisal | None) -> Panel
         "trajectories [1]",
         "condition, scaled [1]",
         _ranked(ours, None if random is None else values(random)),
-        alt=f"From {ours[0]:.1f} with the first trajectory to {ours[-1]:.1f} with all of them.",
+        alt=f"Condition number from {ours[0]:.1f} with the first trajectory to {ours[-1]:.1f} with "
+        "all of them.",
         x_axis=Axis(whole=True),
     )
 
 
 def singular_values(appraisal: Appraisal, random: Appraisal | None) -> Panel:
-    """Singular values of the column-scaled regressor of all trajectories."""
+    """Return a panel with the singular values of the scaled regressor of all trajectories."""
     ours = appraisal.jointly.singular_values
     return Panel(
         "Singular values",
@@ -202,7 +214,11 @@ MARGINS = (
 
 
 def condition_table(report: ExcitationReport) -> Table:
-    """Of every trajectory alone, and together with those before it."""
+    """Return a table with the condition numbers of the regressor for every trajectory.
+
+    The condition number of each trajectory is computed alone and together with the preceding
+    trajectories.
+    """
     alone, jointly = "alone", "with those before it"
     columns = (
         Column("trajectory", number=False),
@@ -225,7 +241,7 @@ def condition_table(report: ExcitationReport) -> Table:
         which = random.closest[1]
         where = (f"{1e3 * which.distance_m:.1f}", " and ".join(which.bodies), UNKNOWN)
         rows.append(cells("random draws", *_condition(best), *_condition(random.jointly), *where))
-    note = "Random draws: the best single one of as many, and all of them jointly."
+    note = "Random draws: the best of as many single trajectories, and all of them jointly."
     return Table("Condition numbers", columns, tuple(rows), note if random is not None else "")
 
 
@@ -234,7 +250,7 @@ def _condition(information: Information) -> tuple[str, str]:
 
 
 def margin_table(report: ExcitationReport) -> Table:
-    """What is left of every limit, joint by joint."""
+    """Return a table with the margins of the motion to every limit, per joint."""
     appraisal = report.appraisal
     margins = appraisal.margins
     shown = [each for each in MARGINS if np.isfinite(margins[each[0]]).any()]
@@ -248,11 +264,11 @@ def margin_table(report: ExcitationReport) -> Table:
     )
     share = 100 if report.spec.optimise is None else report.spec.optimise.torque_percent
     note = (
-        f"Positions within the range of the excitation; torque to {share:g} % of the arm's limit, "
-        f"with the load that needs most. {1e3 * appraisal.limits.clearance_m:g} mm are kept to "
-        "everything."
+        "Margins of position refer to the range of the excitation. Margins of torque refer to "
+        f"{share:g} % of the limit of the arm, with the payload that requires most torque. The "
+        f"required distance to all bodies is {1e3 * appraisal.limits.clearance_m:g} mm."
     )
-    return Table("What all trajectories leave of each limit", columns, rows, note)
+    return Table("Margins of all trajectories to each limit", columns, rows, note)
 
 
 def _margin(value: float, factor: float) -> Cell:
@@ -266,8 +282,8 @@ def _trajectory(report: ExcitationReport, index: int) -> Section:
     trajectory = appraisal.trajectories[index]
     lead = (
         f"Condition number {trajectory.alone.condition_scaled:.2f} alone, "
-        f"{trajectory.jointly.condition_scaled:.2f} with those before it. Positions are shares of "
-        "half the range, torques of their limits."
+        f"{trajectory.jointly.condition_scaled:.2f} with the trajectories before it. Positions are "
+        "given in percent of half the range, torques in percent of their limits."
     )
     panels = motion_panels(trajectory, appraisal.limits, appraisal.joint_names)
     motion = Figure("motion", "Motion", lead, tuple(panels), 2)
@@ -276,7 +292,7 @@ def _trajectory(report: ExcitationReport, index: int) -> Section:
 
 
 def motion_panels(trajectory: Trajectory, limits: Limits, names: Sequence[str]) -> list[Panel]:
-    """Position, velocity, acceleration, jerk, torque and distance over time, with their limits."""
+    """Return panels of position, velocity, acceleration, jerk, torque and distance, with limits."""
     samples = trajectory.samples
     half = (limits.q_max - limits.q_min) / 2
     centred = (samples.q - (limits.q_max + limits.q_min) / 2) / half
@@ -320,7 +336,8 @@ def _motion_panel(
     peaks = np.abs(values).max(axis=0)
     most = int(peaks.argmax())
     said = (
-        f"{title} over time; the largest is {peaks[most]:.0f}, of {joint_title(most, names[most])}."
+        f"{title} over time; the largest value is {peaks[most]:.0f} "
+        f"({joint_title(most, names[most])})."
     )
     return Panel(title, "time [s]", y_title, (*curves, *limits), alt=said)
 
@@ -337,6 +354,7 @@ def _distance(trajectory: Trajectory, kept_m: float) -> Panel:
             Curve("", x, y, look=Look(colours.RESIDUAL)),
             limit_line(t[[0, -1]], 1e3 * kept_m),
         ),
-        alt=f"Least {1e3 * distance:.1f} mm between {' and '.join(bodies)} at {at_s:.2f} s.",
+        alt=f"Smallest distance {1e3 * distance:.1f} mm, between {' and '.join(bodies)}, at "
+        f"{at_s:.2f} s.",
         y_axis=Axis(from_zero=True),
     )

@@ -1,16 +1,17 @@
-"""The list of figures of runs and models.
+"""Registry of the figures of runs and models.
 
-To add one, write one function in `run_figures` or `model_figures` and register it:
+To add a figure, write a function in `run_figures` or `model_figures` and register the function as
+follows:
 
-    @figure("model")
-    def residual_histogram(view: ModelView) -> Figure | None:
+    @figure("model") def residual_histogram(view: ModelView) -> Figure | None:
         ...
 
-It then stands on every page in the place of its subject, in the order of its file, and is among
-the files that `hil figures` writes. A function returns None where it has nothing to show.
+The registered figure appears on every page under its subject, in the order of registration, and
+`hil figures` exports the figure. A registered function returns None if there are no data to draw.
 
-Looks that have a meaning come from `colours`; names of curves are what the legend says. Samples are
-thinned by the functions (`curves`), which know what of them matters.
+Looks with a meaning are imported from `colours`; the legend shows the names of the curves. Each
+registered function reduces its samples with `curves`, because the suitable kind of reduction
+depends on the figure.
 """
 
 from __future__ import annotations
@@ -28,15 +29,16 @@ Subject: TypeAlias = Literal["excitation", "recording", "models", "model"]
 Maker: TypeAlias = Callable[[Any], Figure | None]
 
 FIGURES: dict[Subject, list[Maker]] = {}
-"""The figures of each subject, in the order of the page."""
+"""Registered functions that create the figures of each subject, in the order of the page."""
 
 
 def figure(subject: Subject) -> Callable[[Maker], Maker]:
-    """Register a function that makes a figure.
+    """Register a function that creates a figure of a subject.
 
     Args:
-        subject: `excitation` and `recording` are given a `RunView`, `model` a `ModelView`,
-            and `models` all models of the page (`Sequence[FitFacts]`).
+        subject: Subject of the figure, which determines the argument of the function: a `RunView`
+            for `excitation` and `recording`, a `ModelView` for `model`, and all models of the page
+            (`Sequence[FitFacts]`) for `models`.
     """
 
     def register(make: Maker) -> Maker:
@@ -47,5 +49,5 @@ def figure(subject: Subject) -> Callable[[Maker], Maker]:
 
 
 def figures_of(subject: Subject, view: Any) -> list[Figure]:
-    """Return all figures of a subject that have something to show."""
+    """Return all figures of a subject that can be drawn from the view."""
     return [made for make in FIGURES[subject] if (made := make(view)) is not None]

@@ -1,8 +1,9 @@
-"""Fitted models as their folders describe them: `FitFacts`.
+"""Summaries of fitted models, read from their folders (`FitFacts`).
 
-A model folder, `fit/<estimator>-<digest>`, holds `model.json` and, once the model was judged,
-`evaluation.json`. A model judged on several sources is one `FitFacts` for each of them. Nothing
-is loaded or computed: the numbers on a page are those the evaluation has stored.
+A model folder `fit/<estimator>-<digest>` contains `model.json` and, after an evaluation,
+`evaluation.json`. A model that was evaluated on several data sources yields one `FitFacts` per
+source. No model is loaded and no value is computed again: a page shows the numbers that the
+evaluation stored.
 """
 
 from __future__ import annotations
@@ -20,23 +21,26 @@ from hil.report.documents import Document, as_float, as_names, as_object, as_obj
 from hil.report.words import number, short_source
 
 HONEST = "honest"
-"""As in `hil.estimators.base`, which would load Pinocchio to show a few numbers."""
+"""Copy of a constant in `hil.estimators.base`, because importing that module would load
+Pinocchio.
+"""
 
 Part = Literal["held_out", "trained"]
 
 
 @dataclass(frozen=True, slots=True)
 class FitFacts:
-    """One fitted model.
+    """Summary of one fitted model.
 
     Attributes:
-        folder: `fit/<estimator>-<digest>`.
-        name: The estimator's name, with the digest where two folders have the same estimator, and
-            with a mark where the model follows a paper's protocol.
-        label: The name, with the source where the model was judged on several.
-        evaluation: Content of `evaluation.json`, empty when it was not evaluated.
-        model: Content of `model.json`.
-        under_loads: Rows of its run's verdict about loads.
+        folder: Path of the model folder `fit/<estimator>-<digest>`.
+        name: Name of the estimator. The digest is appended to the name if two folders have the same
+            estimator, and a mark is appended if the model follows the protocol of a paper.
+        label: Unique name for the page; the data source is appended to the name of the estimator if
+            the model was evaluated on several sources.
+        evaluation: Content of `evaluation.json`; empty if the model was not evaluated.
+        model: Content of the file `model.json`.
+        under_loads: Rows of the verdict of the run on this model with payloads.
     """
 
     folder: Path
@@ -48,39 +52,39 @@ class FitFacts:
 
     @property
     def estimator(self) -> str:
-        """As registered."""
+        """Name under which the estimator is registered."""
         return _estimator_of(self.folder)
 
     @property
     def protocol(self) -> str:
-        """`honest`, or how the model departs from that."""
+        """Protocol `honest`, or a description of how the model departs from the honest protocol."""
         return _protocol(self.model, self.evaluation)
 
     @property
     def is_honest(self) -> bool:
-        """Whether the model predicts without seeing the target."""
+        """Whether the model predicts without access to the target values."""
         return self.protocol == HONEST
 
     @property
     def held_out(self) -> Document:
-        """Errors on data the model has not seen; empty when there are none."""
+        """Prediction errors on the hold-out set; empty if the model was not evaluated."""
         if "held_out" in self.evaluation:
             return as_object(self.evaluation["held_out"])
         return self.evaluation if "total" in self.evaluation else {}
 
     @property
     def trained(self) -> Document:
-        """Errors on the data the model was fitted to; empty when not stored."""
+        """Prediction errors on the training data; empty if these errors are not stored."""
         return as_object(self.evaluation.get("trained"))
 
     @property
     def beside(self) -> Sequence[Document]:
-        """Errors where only the load or only the motion is new; not judged."""
+        """Prediction errors on data with a new payload or a new motion only; without criteria."""
         return as_objects(self.evaluation.get("beside"))
 
     @property
     def above(self) -> str:
-        """Where the high-frequency part of the signal begins, `12.5 Hz`; empty when unknown."""
+        """Lower limit of the high-frequency part of the signal, `12.5 Hz` for example, or empty."""
         cutoff = self.held_out.get("cutoff_hz")
         if not isinstance(cutoff, list) or not cutoff:
             return ""
@@ -89,7 +93,7 @@ class FitFacts:
 
     @property
     def fast_part(self) -> str:
-        """What `noise_floor` is: the part the filter takes away, or the scatter within dwells."""
+        """Description of `noise_floor`: signal that the filter removes, or dwell scatter."""
         if self.above:
             return f"part above {self.above}"
         if "cutoff_hz" in self.held_out:
@@ -98,33 +102,33 @@ class FitFacts:
 
     @property
     def criteria(self) -> Sequence[Document]:
-        """Rows of its verdict."""
+        """Rows of the verdict that concern this model."""
         return as_objects(as_object(self.evaluation.get("verdict")).get("rows"))
 
     @property
     def source(self) -> str:
-        """Recording it was judged on; empty for the part of a run that was held out."""
+        """Recording that the evaluation used; empty for the held-out part of a run."""
         return str(self.held_out.get("source") or "")
 
     @property
     def unit(self) -> str:
-        """Unit of the effort, `A` or `N·m`; empty when unknown."""
+        """Unit of the effort, `A` or `N·m`; empty if unknown."""
         return str(self.held_out.get("unit", ""))
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """The joints, in the order of every value."""
+        """Joint names, in the order of all values that are stored per joint."""
         return as_names(self.held_out.get("joint_names"))
 
     def total(self, part: Part = "held_out") -> Document:
-        """The errors over all rows of a part."""
+        """Return the prediction errors over all rows of a part of the data."""
         return as_object((self.held_out if part == "held_out" else self.trained).get("total"))
 
     def mean(self, metric: str, part: Part = "held_out") -> float:
-        """Mean of a metric over the joints it is defined for; NaN when unknown.
+        """Return the mean of a metric over the joints for which it is defined; NaN if unknown.
 
-        The two means the evaluation stores itself (`rmse_raw`, `rmse_filtered`) are read, not
-        computed again.
+        Two means are stored by the evaluation (`rmse_raw`, `rmse_filtered`) and are therefore read
+        instead of computed.
         """
         stored = as_float(self.total(part).get(f"mean_{metric.removeprefix('rmse_')}"))
         if math.isfinite(stored):
@@ -134,7 +138,7 @@ class FitFacts:
         return float(known.mean()) if len(known) else float("nan")
 
     def values(self, metric: str, part: Part = "held_out") -> FloatArray:
-        """(n,) a metric per joint; NaN where it is undefined or not stored."""
+        """Return the (n,) values of a metric per joint; NaN if undefined or not stored."""
         values = self.total(part).get(metric)
         if not isinstance(values, list) or len(values) != len(self.joint_names):
             return np.full(len(self.joint_names), np.nan)
@@ -146,19 +150,25 @@ def _estimator_of(folder: Path) -> str:
 
 
 def _protocol(model: Document, evaluation: Document) -> str:
-    """As the model says, or the evaluation; models of an older hil are honest and say nothing."""
+    """Return the protocol that is stored with the model or the evaluation.
+
+    Models of older versions of hil do not store a protocol and count as honest.
+    """
     told = as_object(model.get("fitted")).get("protocol") or evaluation.get("protocol")
     return str(told or HONEST)
 
 
 def model_folders(run: Path) -> list[Path]:
-    """`fit/<estimator>-<digest>` of every model of a run."""
+    """Return the folders `fit/<estimator>-<digest>` of all models of a run."""
     path = run / "fit"
     return sorted(item for item in path.iterdir() if item.is_dir()) if path.is_dir() else []
 
 
 def read_fits(folders: Sequence[Path], problems: list[str]) -> tuple[FitFacts, ...]:
-    """The models in some folders; one that was judged on several sources appears once for each."""
+    """Return summaries of the models in the selected folders.
+
+    A model that was evaluated on several data sources yields one summary per source.
+    """
     names = [_estimator_of(folder) for folder in folders]
     labels = (
         name if names.count(name) == 1 else folder.name
@@ -189,7 +199,7 @@ def _fits_of_folder(folder: Path, name: str, problems: list[str]) -> list[FitFac
 
 
 def best_first(fits: Iterable[FitFacts]) -> tuple[FitFacts, ...]:
-    """The fits that have held-out errors, honest ones first, then smallest raw RMSE first."""
+    """Return the fits with held-out errors: honest fits first, then by increasing raw RMSE."""
 
     def rank(fit: FitFacts) -> tuple[bool, bool, float]:
         error = fit.mean("rmse_raw")

@@ -1,7 +1,8 @@
-"""Figures as files: for papers as wide as a column, and as a picture that follows the screen.
+"""Export of figures to files: one-column or full-page figures for papers, and themed SVG.
 
-matplotlib draws what plotly draws in a page, in the same looks, told apart without colour as well.
-It is imported when something is drawn, not before. Equal figures are equal files.
+The exported figures have the same looks as the plotly figures in a page, and are distinguishable
+without colour. Equal figures are exported as byte-identical files. The library matplotlib is
+imported only when needed.
 """
 
 from __future__ import annotations
@@ -29,22 +30,22 @@ if TYPE_CHECKING:
 
 Place: TypeAlias = Literal["outside upper center", "outside lower center"]
 WIDTHS = {"column": 88.0, "page": 181.0}
-"""Of a figure [mm]: one column, or the whole page, of the journals of the field."""
+"""Figure widths of robotics journals [mm]: width of one column, and of the full page."""
 
 MM = 1 / 25.4
-"""One millimetre [inch]."""
+"""Length of one millimetre in inches."""
 LETTER = 1.25
-"""Width of a letter of an axis title or legend, on average [mm]."""
+"""Average width of a character in an axis title or a legend [mm]."""
 LEAST_PANEL = 40.0
-"""Narrower panels are moved to the next row [mm]."""
+"""Minimum width of a panel [mm]; panels that would be narrower are moved to the next row."""
 MOST_PER_ROW = 3
 POINTS = 1000
-"""Points of a line or cloud: more than 88 mm of print show."""
+"""Maximum number of points of a line or cloud, more than are visible in a print of 88 mm width."""
 PRINT = 0.55
-"""Points of print for a pixel of the screen."""
+"""Size in print [pt] of one screen pixel."""
 
 STYLE: Any = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib, so that every machine draws the same
+    "font.family": "DejaVu Sans",  # part of matplotlib, so that every machine draws the same
     "font.size": 6.5,
     "axes.titlesize": 7,
     "axes.labelsize": 6.5,
@@ -70,9 +71,9 @@ STYLE: Any = {
     "lines.linewidth": 0.9,
     "lines.markersize": 2.2,
     "hatch.linewidth": 0.4,
-    "text.parse_math": False,  # a dollar sign in a title is one
+    "text.parse_math": False,  # a dollar sign in a title is plain text
     "axes.unicode_minus": True,
-    "pdf.fonttype": 42,  # TrueType inside: publishers refuse bitmaps of letters
+    "pdf.fonttype": 42,  # embed TrueType: publishers reject bitmap fonts
     "svg.fonttype": "path",
     "svg.hashsalt": "hil",
     "savefig.dpi": 600,
@@ -97,7 +98,9 @@ MARKS = {
     "x": "x",
     "line-ew": "_",
 }
-"""Of what plotly calls `square`, or `square-open` when it is only an outline."""
+"""Matplotlib markers by plotly symbol name; the suffix `-open` of a name selects the outline
+only.
+"""
 HATCHES = {"": "", "/": "/////", "x": "xxxxx", ".": ".....", "\\": "\\\\\\\\\\", "+": "+++++",
            "-": "-----"}  # fmt: skip
 
@@ -106,16 +109,18 @@ METADATA: dict[str, dict[str, Any]] = {
     "svg": {"Date": None, "Creator": "hil"},
     "png": {"Software": None},
 }
-"""No times and versions: an equal figure is an equal file."""
+"""Metadata of exported files without times and versions, so that equal figures yield
+byte-identical files.
+"""
 
 
 def drawn(figure: Figure, format_: str, width: str = "column") -> bytes:
-    """Return the figure as a file.
+    """Return the figure as the content of a file.
 
     Args:
-        figure: What to draw.
-        format_: `pdf`, `svg` or `png`.
-        width: `column` or `page`.
+        figure: Figure that is drawn.
+        format_: File format: `pdf`, `svg` or `png`.
+        width: Figure width: `column` or `page`.
     """
     figure, whole = dressed(_with_few_marked(figure), POINTS), WIDTHS[width]
     columns = _columns(figure, whole)
@@ -132,9 +137,10 @@ def on_sheet(
     *,
     text: bool = False,
 ) -> bytes:
-    """Return the file of a sheet of `width` × `height` mm that `draw` has drawn on.
+    """Return the file content of a sheet of `width` × `height` mm, drawn by the function `draw`.
 
-    With `text`, letters of an SVG stay text: smaller, searchable, and in a font of the viewer.
+    If `text` is true, an SVG file contains its text as characters instead of paths. An SVG file
+    with text as characters is smaller and searchable, and uses a font of the viewer.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure as Sheet
@@ -156,20 +162,20 @@ THEME = {
     STYLE["grid.color"].lower(): ("grid", "#2d3238"),
     **{light.lower(): (f"c{i}", dark.lower()) for i, (light, dark) in enumerate(DARK.items())},
 }
-"""Colour of a picture → its name in the style sheet, and what it becomes on a dark screen."""
+"""Tuple of the name in the style sheet and the colour in dark mode, by colour in light mode."""
 
 
 def following_the_screen(svg: bytes) -> str:
-    """Return an SVG of `on_sheet` whose colours follow the viewer's light or dark setting."""
+    """Return an SVG of the sheet of `on_sheet`, with colours for light and dark mode."""
     text = svg.decode()
     text = text[text.index("<svg") :]
-    # A hundredth of a point is less than anybody sees, and half of the file.
-    parts = re.split(r"(<text\b.*?</text>)", text, flags=re.DOTALL)  # names may have digits, too
+    # Coordinates are rounded to 0.01 pt, which is invisible and halves the file size.
+    parts = re.split(r"(<text\b.*?</text>)", text, flags=re.DOTALL)  # names possibly contain digits
     parts[::2] = [re.sub(r"(\d\.\d\d)\d+", r"\1", part) for part in parts[::2]]
     text = "".join(parts)
-    # Without a size of its own it fills the place it is shown in.
+    # Without a fixed size, the picture fills its container.
     text = re.sub(r' (width|height)="[0-9.]+pt"', "", text, count=2)
-    # What describes the drawing program would be a foreign address.
+    # The metadata would contain URLs of other sites.
     text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     for light, (name, _) in THEME.items():
         text = re.sub(rf'(fill|stroke)(: |="){light}\b', rf"\1\2var(--{name}, {light})", text)
@@ -186,7 +192,10 @@ def following_the_screen(svg: bytes) -> str:
 def draw(
     sheet: Sheet | SubFigure, figure: Figure, width: float, legend: Place = "outside upper center"
 ) -> None:
-    """Draw a dressed figure on a sheet of `width` mm; panels below each other may share their x."""
+    """Draw a dressed figure on a sheet of `width` mm.
+
+    Panels below each other share the labels of the x axis if the panels have the same x axis.
+    """
     columns = _columns(figure, width)
     rows = math.ceil(len(figure.panels) / columns) or 1
     slanted = _slanted(figure, width / columns)
@@ -205,7 +214,7 @@ def draw(
 
 
 def _with_few_marked(figure: Figure) -> Figure:
-    """Lines of few points have marks in print where nobody gave them a look."""
+    """Add markers to lines with few points, if these lines have no explicit look."""
     panels = [
         replace(
             panel,
@@ -222,13 +231,16 @@ def _with_few_marked(figure: Figure) -> Figure:
 
 
 def _columns(figure: Figure, width: float) -> int:
-    """Return panels side by side: as asked for, but none too narrow to be read."""
+    """Return the number of panels side by side, limited by the minimum panel width."""
     asked = figure.per_row or MOST_PER_ROW
     return max(1, min(asked, len(figure.panels), int(width // LEAST_PANEL)))
 
 
 def _height(figure: Figure, width: float) -> float:
-    """Of one panel [mm]; regression plots are square, long names below bars need room."""
+    """Return the height of one panel [mm].
+
+    Regression plots are square; panels with long names below their bars have additional height.
+    """
     square = any(c.style == "identity" for panel in figure.panels for c in panel.curves)
     names = max((len(name) for panel in figure.panels for name in categories(panel)), default=0)
     tall = width * 0.95 if square else min(width * 0.78, 50.0)
@@ -236,7 +248,7 @@ def _height(figure: Figure, width: float) -> float:
 
 
 def _slanted(figure: Figure, width: float) -> bool:
-    """Return whether names along x would run into each other."""
+    """Return whether the names along x would overlap if written horizontally."""
     named = [categories(panel) for panel in figure.panels]
     return max((sum(len(name) + 1 for name in names) for names in named), default=0) > width / 1.6
 
@@ -248,7 +260,10 @@ def _titles(
     columns: int,
     width: float,
 ) -> None:
-    """Axis titles; one that all panels share stands once, below or beside all of them."""
+    """Draw the titles of the x axes and the y axes.
+
+    An axis title that all panels share is drawn only one time, below or beside all panels.
+    """
     x, y = ({getattr(panel, name) for panel in panels} for name in ("x_title", "y_title"))
     if len(x) == 1 and columns == 1 and places:
         places[-1].set_xlabel(_folded(panels[-1].x_title, width))
@@ -264,25 +279,25 @@ def _titles(
 
 
 def _folded(text: str, room: float) -> str:
-    """A title in as many lines as it takes in `room` mm."""
+    """Return a title, wrapped into lines of at most `room` mm."""
     return "\n".join(wrap(text, max(12, int(room / LETTER)))) if text else ""
 
 
 def _legend(sheet: Sheet | SubFigure, shown: Mapping[str, Any], width: float, place: Place) -> None:
-    """Above all panels: in one row if it fits, else in columns as wide as the longest name."""
+    """Draw the legend above all panels: in one row if possible, otherwise in equal columns."""
     from matplotlib.lines import Line2D
 
     rooms = [10 + LETTER * len(name) for name in shown]
     across = len(rooms) if sum(rooms) < width else max(1, int(width / max(rooms)))
     drawn = sheet.legend(list(shown.values()), list(shown), loc=place, ncols=across)
     for handle in drawn.legend_handles:
-        if isinstance(handle, Line2D):  # a mark of a dense cloud is too small to be told
+        if isinstance(handle, Line2D):  # marks of a dense cloud are too small for a legend
             handle.set_markersize(3.5)
             handle.set_alpha(1)
 
 
 def _panel(axes: Axes, panel: Panel, *, slanted: bool) -> dict[str, Any]:
-    """Draw a panel; return what of it belongs into the legend, by name."""
+    """Draw a panel and return its legend handles by name."""
     names, shown = categories(panel), dict[str, Any]()
     for span in panel.spans:
         _span(axes, span)
@@ -333,11 +348,11 @@ _BOXED: dict[str, Any] = {
 
 
 def _line(axes: Axes, curve: Curve, look: Look, names: Sequence[str]) -> Any:
-    """Draw a line, marks, or both; every second kind of mark is an outline."""
+    """Draw a line, markers, or a line with markers; open symbols are drawn as outlines."""
     x, y = _places(curve, names), y_of(curve)
     symbol, lined = look.symbol, curve.style in ("line", "marked")
     is_open, marked = symbol.endswith("-open"), curve.style != "line"
-    # Few marks are drawn large, many small.
+    # The fewer the marks, the larger each is drawn.
     size = PRINT * look.size or (3.5 if len(y) <= 60 else 1.8 if len(y) <= 400 else 1.3)
     edge = 1.5 if curve.style == "ticks" else 0.7 if is_open or symbol == "x" else 0.0
     (artist,) = axes.plot(
@@ -394,7 +409,7 @@ def _ranges(axes: Axes, curve: Curve, names: Sequence[str]) -> Any:
 
 
 def _places(curve: Curve, names: Sequence[str]) -> Any:
-    """(N,) where its values stand along x: numbers as they are, names by their number, dates."""
+    """Return the (N,) positions along x: numbers, indices of names, or dates."""
     if not has_names(curve):
         return x_of(curve)
     if not names:
@@ -403,7 +418,7 @@ def _places(curve: Curve, names: Sequence[str]) -> Any:
 
 
 def _square(axes: Axes, ends: FloatArray) -> None:
-    """The same range along both axes, so that the line y = x is the diagonal."""
+    """Set equal ranges of the x axis and the y axis, so that the line y = x is the diagonal."""
     apart = 0.05 * float(ends[1] - ends[0])
     axes.set_xlim(ends[0] - apart, ends[1] + apart)
     axes.set_ylim(ends[0] - apart, ends[1] + apart)
@@ -411,7 +426,7 @@ def _square(axes: Axes, ends: FloatArray) -> None:
 
 
 def _grid(axes: Axes, grid: Grid) -> None:
-    """Counts as filled cells; every cell is a vector, none a pixel."""
+    """Draw the counts of a grid as filled cells in vector graphics."""
     from matplotlib.colors import LinearSegmentedColormap
 
     z: FloatArray = np.ma.masked_invalid(grid.log_count)
@@ -425,7 +440,7 @@ def _grid(axes: Axes, grid: Grid) -> None:
     bar.ax.set_yticklabels([f"{10**tick:.0f}" for tick in ticks])
     bar.set_label("samples [1]")
     if bar.solids is not None:
-        bar.solids.set_rasterized(False)  # matplotlib would make it an image
+        bar.solids.set_rasterized(False)  # matplotlib would convert it to an image
 
 
 def _mark(axes: Axes, mark: Mark) -> dict[str, Any]:
@@ -448,7 +463,7 @@ def _span(axes: Axes, span: Span) -> None:
 
 
 def _scales(axes: Axes, panel: Panel) -> None:
-    """Logarithms, ranges, zero, dates."""
+    """Set the scales, limits and ticks of the x axis and the y axis."""
     from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
     from matplotlib.ticker import MaxNLocator
 
@@ -475,7 +490,7 @@ def _scales(axes: Axes, panel: Panel) -> None:
 
 
 def _powers(axes: Axes) -> None:
-    """Numbers beside a logarithmic axis, in Unicode; 2 and 5 as well where it has few powers."""
+    """Label a logarithmic axis with Unicode powers of ten; add 2 and 5 if the range is small."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = axes.get_ylim()

@@ -1,4 +1,4 @@
-"""The figures of models: measured and predicted, friction, residuals, learning."""
+"""Figures of models: measured and predicted effort, friction, residuals, learning curves."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ from hil.report.words import joint_title, number, quantity
 from hil.studies import Axis, Band, Curve, Figure, Look, Mark, Panel
 
 CLOUD = 700
-"""Points of a cloud: enough to see its shape, few enough to draw six of them at once."""
+"""Maximum number of points of a point cloud, limited because a page draws six clouds at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelView:
-    """What the figures of a model are drawn from: its evaluation, and held-out predictions."""
+    """Data for the figures of a model: evaluation and predictions of the hold-out set."""
 
     fit: FitFacts
     shown: Predictions
 
 
 _Series: TypeAlias = tuple[tuple[Curve, ...], str]
-"""Curves of a joint, and the text in the corner."""
+"""Curves of one joint, and the text in the corner of the joint's panel."""
 
 
 @figure("models")
 def error_per_joint(fits: Sequence[FitFacts]) -> Figure:
-    """RMSE per joint of all models, and the high-frequency part of the measured signal."""
+    """Return the figure of the RMSE per joint of all models, with the noise floor of the signal."""
     unit, n = fits[0].unit, len(fits[0].joint_names)
     joints = tuple(f"J{j + 1}" for j in range(n))
     errors = {fit.label: fit.values("rmse_raw") for fit in fits if len(fit.joint_names) == n}
@@ -73,7 +73,7 @@ _TICK = "line-ew-open"
 
 @figure("model")
 def dwells_compared(view: ModelView) -> Figure | None:
-    """Return dwells in the order of the prediction, each approach in its own colour."""
+    """Return the figure of dwells ordered by predicted effort, coloured by approach direction."""
     if (dwells := view.shown.dwells) is None:
         return None
 
@@ -87,9 +87,9 @@ def dwells_compared(view: ModelView) -> Figure | None:
         view.fit,
         _residual_of(dwells),
         "Held-out dwells: measured and predicted",
-        "One mark per dwell (mean of its samples). Where a pose was approached from below and "
-        "from above, the distance between the two is friction at standstill; a model without "
-        "friction memory runs between them.",
+        "One mark per dwell (mean of its samples). If a pose was approached from below and from "
+        "above, the distance between the two marks is twice the static friction; a model without "
+        "friction memory lies between them.",
         ("dwell, in the order of the prediction", f"{quantity(unit)} [{unit}]"),
         curves,
     )
@@ -99,13 +99,16 @@ SIDES = (
     (1, "from below", colours.UP, "triangle-up"),
     (-1, "from above", colours.DOWN, "triangle-down"),
 )
-"""Approach of a dwell: its sign in the data, name, colour and mark."""
+"""Properties of the approach directions of a dwell: sign in the data, name, colour and mark."""
 
 
 def dwell_curves(
     measured: FloatArray, predicted: FloatArray, approach: IntArray, pose: IntArray
 ) -> tuple[Curve, ...]:
-    """Dwells of one joint (D,) by rank of the prediction; `approach` as in `DwellPredictions`."""
+    """Return curves of the dwells (D,) of one joint, ordered by the predicted effort.
+
+    The argument `approach` is described in `DwellPredictions`.
+    """
     order = np.argsort(predicted, kind="stable")
     rank = np.empty(len(order))
     rank[order] = np.arange(1, len(order) + 1)
@@ -123,7 +126,10 @@ def dwell_curves(
 
 @figure("model")
 def friction_at_rest(view: ModelView) -> Figure | None:
-    """Friction that held poses from either side, over the joint's angle; gravity is taken away."""
+    """Return the figure of the static friction in dwells from both directions over the angle.
+
+    The static friction is the measured effort minus the gravity of the model.
+    """
     friction = view.shown.friction
     seen = friction.at_rest if friction else None
     if friction is None or seen is None or view.shown.dwells is None:
@@ -139,18 +145,18 @@ def friction_at_rest(view: ModelView) -> Figure | None:
         for j, name in enumerate(view.fit.joint_names)
     )
     lead = (
-        "The measured effort of each dwell less what the model holds for gravity, offset and "
-        "load: friction, and what the model errs by; dwells the model does not hold for are left "
-        "out. How far the two directions are apart is twice the friction that holds the joint."
+        "Measured effort of each dwell minus the gravity, offset and payload of the model: the "
+        "rest is friction and the error of the model. Dwells outside the validity of the model are "
+        "omitted. The distance between the two approach directions is twice the static friction."
     )
     return Figure("friction-at-rest", AT_REST, lead, panels, 0)
 
 
-AT_REST, IN_MOTION = "Held-out dwells: friction at rest", "Friction over velocity"
+AT_REST, IN_MOTION = "Held-out dwells: static friction", "Friction over velocity"
 
 
 def friction_at_rest_curves(seen: FrictionAtRest, j: int) -> tuple[Curve, ...]:
-    """Return friction of one joint at rest over its angle, one curve per direction."""
+    """Return curves of static friction of one joint over its angle, one per approach direction."""
     angle, curves = seen.q[:, j] * DEGREES, []
     for sign, name, colour, symbol in SIDES:
         rows = np.flatnonzero((seen.approach == sign) & np.isfinite(seen.measured[:, j]))
@@ -158,7 +164,7 @@ def friction_at_rest_curves(seen: FrictionAtRest, j: int) -> tuple[Curve, ...]:
             look = Look(colour, symbol=symbol, size=_mark_size(len(angle)))
             hover = [f"pose {p}" for p in seen.pose[rows]]
             x, y = angle[rows], seen.measured[rows, j]
-            curves.append(Curve(f"{name}, less gravity", x, y, "points", (), look, hover))
+            curves.append(Curve(f"{name}, minus gravity", x, y, "points", (), look, hover))
     if seen.predicted is not None:
         drawn = (seen.approach != 0) & np.isfinite(seen.predicted[:, j])
         look = Look(colours.PREDICTED, symbol="diamond-open", size=5)
@@ -168,7 +174,10 @@ def friction_at_rest_curves(seen: FrictionAtRest, j: int) -> tuple[Curve, ...]:
 
 
 def _mean_sides(seen: FrictionAtRest, j: int, unit: str) -> str:
-    """Mean friction of one joint at rest from either side, of dwells the model holds for."""
+    """Return a text with the mean static friction of one joint per approach direction.
+
+    The mean includes only the dwells for which the model is valid.
+    """
     sides = []
     for sign, name, _, _ in SIDES:
         rows = (seen.approach == sign) & np.isfinite(seen.measured[:, j])
@@ -182,31 +191,31 @@ def _mean_sides(seen: FrictionAtRest, j: int, unit: str) -> str:
 
 @figure("model")
 def dwell_residual_over_pose(view: ModelView) -> Figure | None:
-    """Residual of dwells against the joint's angle."""
+    """Return the figure of the residuals of dwells over the joint angle."""
     if (dwells := view.shown.dwells) is None:
         return None
     return _residual(
         view.fit,
         dwells,
         "Held-out dwells: residual against pose",
-        "Against the joint's own angle; a pattern here is gravity the model does not have.",
+        "Residual over the angle of the same joint. A pattern shows gravity that the model lacks.",
         (dwells.q * DEGREES, "joint angle [°]"),
     )
 
 
 @figure("model")
 def dwell_residual_over_time(view: ModelView) -> Figure | None:
-    """Residual of dwells over the run."""
+    """Return the figure of the residuals of dwells over the time of the run."""
     if (dwells := view.shown.dwells) is None:
         return None
     since = np.repeat((dwells.t - dwells.t.min())[:, None], dwells.q.shape[1], axis=1)
     title = "Held-out dwells: residual over the run"
-    return _residual(view.fit, dwells, title, "A trend here is drift.", (since, "time [s]"))
+    return _residual(view.fit, dwells, title, "A trend shows drift.", (since, "time [s]"))
 
 
 @figure("model")
 def dwell_regression(view: ModelView) -> Figure | None:
-    """Measured against predicted dwells."""
+    """Return the figure of measured over predicted effort of dwells."""
     if (dwells := view.shown.dwells) is None:
         return None
     return _regression(view.fit, dwells, "Held-out dwells: regression")
@@ -214,7 +223,7 @@ def dwell_regression(view: ModelView) -> Figure | None:
 
 @figure("model")
 def trajectory_compared(view: ModelView) -> Figure | None:
-    """Measured and predicted over the worst trajectory."""
+    """Return the figure of measured and predicted effort in the trajectory with largest error."""
     if (motions := view.shown.motions) is None:
         return None
 
@@ -227,7 +236,10 @@ def trajectory_compared(view: ModelView) -> Figure | None:
         ), ""
 
     which, unit = _name_of(motions.worst), view.fit.unit
-    several = f"{which}: of {motions.count} held out, the worst relative to each joint's signal."
+    several = (
+        f"{which}: of {motions.count} held-out motions, the one with the largest error relative to "
+        "the signal of each joint."
+    )
     return _per_joint(
         view.fit,
         motions.measured - motions.predicted,
@@ -247,7 +259,10 @@ def _name_of(condition: Conditions) -> str:
 
 @figure("model")
 def friction_over_velocity(view: ModelView) -> Figure | None:
-    """Friction over velocity: the model's, and what it leaves of the measured effort for it."""
+    """Return the figure of measured friction and friction of the model over velocity.
+
+    The measured friction is the measured effort minus all parts of the model except friction.
+    """
     friction = view.shown.friction
     seen = friction.in_motion if friction else None
     if friction is None or seen is None or view.shown.motions is None:
@@ -264,18 +279,21 @@ def friction_over_velocity(view: ModelView) -> Figure | None:
 
 
 BINS = 30
-"""Of either direction."""
+"""Number of velocity bins for each direction of motion."""
 ERRORS = 2.0
-"""Half a band, in standard errors."""
+"""Half-width of the confidence band, as a number of standard errors."""
 
 
 def friction_in_motion_curves(seen: FrictionInMotion, j: int) -> tuple[Curve, ...]:
-    """Friction of one joint over its velocity: a cloud of samples, and last the model's line."""
+    """Return the curves of the friction of one joint over its velocity.
+
+    The first curve is the cloud of samples, and the last curve is the line of the model.
+    """
     good = np.isfinite(seen.measured[:, j]) & np.isfinite(seen.qd[:, j])
     qd, measured = seen.qd[good, j] * DEGREES, seen.measured[good, j]
     some = thinned(len(qd), CLOUD)
     look = Look(colours.MEASURED, size=_mark_size(len(some)), opacity=0.5)
-    name = "measured, less the rest of the model"
+    name = "measured, minus the rest of the model"
     cloud = Curve(name, qd[some], measured[some], "points", look=look)
     if seen.law_qd is None or seen.curve is None:
         return (cloud, *_mean(qd, seen.predicted[good, j]))
@@ -288,21 +306,22 @@ def _law(velocity: FloatArray, curve: FrictionCurve, j: int) -> list[Curve]:
     dashed = Look(colours.NEUTRAL, "dash", width=1.4)
     curves = [Curve("without its viscous part", qd, dry, look=dashed)]
     if np.isfinite(half).all():
-        name, edge = f"± {ERRORS:g} standard errors, at most", Look(colours.PREDICTED, "dot")
+        name = f"± {ERRORS:g} standard errors (upper bound)"
+        edge = Look(colours.PREDICTED, "dot")
         curves += [Curve(name, qd, torque + side * half, look=edge) for side in (1, -1)]
     solid = Look(colours.PREDICTED, width=2.2)
     return [*curves, Curve("friction of the model", qd, torque, look=solid)]
 
 
 def _mean(qd: FloatArray, predicted: FloatArray) -> list[Curve]:
-    """Mean and spread of what the model says, either direction by itself."""
+    """Return the mean and standard deviation of the predicted friction, per direction of motion."""
     sides = [binned(qd[rows], predicted[rows], BINS) for rows in (qd < 0, qd > 0)]
     centre, mean, spread = (np.concatenate(part) for part in zip(*sides, strict=True))
     return _mean_and_spread(centre, mean, spread, "friction of the model, mean")
 
 
 def _ends(seen: FrictionInMotion, drawn: Curve, j: int, unit: str) -> str:
-    """What the model's line says at both its ends, and how far the samples are from the model."""
+    """Return a text with the friction at the two ends of the model line and the residual RMS."""
     x, y = np.asarray(drawn.x, dtype=np.float64), np.asarray(drawn.y)
     ends = [
         f"{number(float(y[i]))} {unit} at {number(float(x[i]))} °/s"
@@ -313,43 +332,43 @@ def _ends(seen: FrictionInMotion, drawn: Curve, j: int, unit: str) -> str:
 
 
 def _how_to_read(seen: FrictionInMotion) -> str:
-    """What points and line of friction over velocity are."""
+    """Return the text that explains points and lines in the figure of friction over velocity."""
     lead = (
-        "Points are the measured effort of the held-out trajectories less what the model takes "
-        "for gravity, inertia and load: friction, and what the model errs by. "
+        "Points are the measured effort of the held-out trajectories minus the gravity, inertia "
+        "and payload of the model: the rest is friction and the error of the model. "
     )
     if seen.learned:
         lead += (
-            "What the model's network adds to its physics counts as friction on both sides, though "
-            "it may be something else that the physics misses. "
+            "The output of the model's network counts as friction, in points and line, although "
+            "it possibly corrects other parts of the physics. "
         )
     if seen.curve is None:
         return lead + (
-            "The line is the mean of the model's friction at each velocity over these "
-            "trajectories, the dotted ones a standard deviation to either side."
+            "The solid line is the mean friction of the model at each velocity on these "
+            "trajectories; the dotted lines are ± one standard deviation."
         )
     terms = seen.curve.terms
     first = "static friction, which falls towards Coulomb friction with speed"
-    found = [f"half its step at zero is {first if STATIC in terms else 'Coulomb friction'}"]
+    parts = [f"half its step at zero is {first if STATIC in terms else 'Coulomb friction'}"]
     if OFFSET in terms:
-        found.append("the middle of the step is the offset")
+        parts.append("the middle of the step is the offset")
     if VISCOUS in terms:
-        found.append("what lies beyond the dashed line is viscous friction")
+        parts.append("its distance from the dashed line is viscous friction")
     lead += (
-        "The line is the model's friction, no further than these trajectories go: "
-        f"{'; '.join(found)}. "
+        "The solid line is the friction of the model within the velocities of these trajectories: "
+        f"{'; '.join(parts)}. "
     )
     if np.isfinite(seen.curve.std_error).all(axis=0).any():
         return lead + (
-            "The standard errors of its parts are added up, as if all erred to the same side: the "
-            "band is at most that wide."
+            "The band adds the standard errors of all parts, as if all errors had the same sign, "
+            "and is therefore an upper bound."
         )
-    return lead + "The model has no standard errors that hold of this line: no band is drawn."
+    return lead + "No band is drawn, because the model has no standard errors for this line."
 
 
 @figure("model")
 def trajectory_residual_over_time(view: ModelView) -> Figure | None:
-    """Residual over the worst trajectory: the line with its extremes."""
+    """Return the figure of the residuals over time in the trajectory with the largest error."""
     if (motions := view.shown.motions) is None:
         return None
     residual = motions.measured - motions.predicted
@@ -365,21 +384,21 @@ def trajectory_residual_over_time(view: ModelView) -> Figure | None:
 
 @figure("model")
 def residual_over_velocity(view: ModelView) -> Figure | None:
-    """Residual of all trajectories against velocity."""
+    """Return the figure of the residuals of all trajectories over velocity."""
     if (motions := view.shown.motions) is None:
         return None
     return _residual(
         view.fit,
         motions,
         "All held-out trajectories: residual against velocity",
-        "A step at zero is friction the model does not have.",
+        "A step at zero shows friction that the model lacks.",
         (motions.qd * DEGREES, "velocity [°/s]"),
     )
 
 
 @figure("model")
 def residual_over_pose(view: ModelView) -> Figure | None:
-    """Residual of all trajectories against the joint's angle."""
+    """Return the figure of the residuals of all trajectories over the joint angle."""
     if (motions := view.shown.motions) is None:
         return None
     title = "All held-out trajectories: residual against pose"
@@ -388,7 +407,7 @@ def residual_over_pose(view: ModelView) -> Figure | None:
 
 @figure("model")
 def trajectory_regression(view: ModelView) -> Figure | None:
-    """Measured against predicted samples of all trajectories."""
+    """Return the figure of measured over predicted effort of all trajectories."""
     if (motions := view.shown.motions) is None:
         return None
     return _regression(view.fit, motions, "All held-out trajectories: regression")
@@ -396,7 +415,7 @@ def trajectory_regression(view: ModelView) -> Figure | None:
 
 @figure("model")
 def learning_curves(view: ModelView) -> Figure | None:
-    """Loss and validation error over the epochs; None where nothing was trained."""
+    """Return the figure of loss and validation error over epochs; None without a network."""
     document = as_object(view.fit.model.get("fitted")).get("curves")
     try:
         curves = Curves.from_dict(document) if isinstance(document, dict) else None
@@ -406,9 +425,9 @@ def learning_curves(view: ModelView) -> Figure | None:
         return None
     stages = "; ".join(f"{name}: {count}" for name, count in curves.spans())
     best = (
-        f"Kept are the weights of epoch {curves.best_epoch} of {len(curves)}"
+        f"The model has the weights of epoch {curves.best_epoch} of {len(curves)}"
         if curves.best_epoch
-        else f"None of {len(curves)} epochs was better than the untrained network, which was kept"
+        else f"The model has the untrained weights, because none of {len(curves)} epochs was better"
     )
     lead = (
         f"{best}: validation error {number(curves.best)}, untrained {number(curves.untrained)}. "
@@ -418,7 +437,10 @@ def learning_curves(view: ModelView) -> Figure | None:
 
 
 def learning_panel(curves: Curves, alt: str = "") -> Panel:
-    """Return loss and validation error over the epochs, logarithmic, with marks between stages."""
+    """Return a panel of loss and validation error over the epochs.
+
+    The vertical axis is logarithmic; vertical lines separate the stages of the network training.
+    """
     epoch = np.arange(1.0, len(curves) + 1)
     validation = np.array([curves.untrained, *curves.validation])
     kept = Look(colours.PREDICTED, symbol="diamond", size=9, opacity=1.0)
@@ -435,11 +457,11 @@ def learning_panel(curves: Curves, alt: str = "") -> Panel:
                 validation,
                 look=Look(colours.PREDICTED, "dash"),
             ),
-            Curve("kept", [float(curves.best_epoch)], [curves.best], "points", look=kept),
+            Curve("selected", [float(curves.best_epoch)], [curves.best], "points", look=kept),
         ),
         alt=alt,
         wide=True,
-        # Plotly leaves out of a logarithmic axis what is not above 0, as an error of nothing is.
+        # On a logarithmic axis, plotly omits values that are not positive, such as an error of 0.
         y_axis=Axis("log"),
         marks=tuple(Mark(end + 0.5, name="next stage") for end in ends),
     )
@@ -452,7 +474,10 @@ def _residual(
     lead: str,
     over: tuple[FloatArray, str],
 ) -> Figure:
-    """Residual of every joint (N, n) against anything (N, n): the cloud, its mean and spread."""
+    """Return the figure of the residuals of every joint (N, n) over a quantity (N, n).
+
+    Each panel shows the point cloud, its mean and its standard deviation.
+    """
     (x, x_title), residual = over, _residual_of(data)
 
     def curves(j: int) -> _Series:
@@ -464,7 +489,7 @@ def _residual(
 
 
 def residual_curves(x: FloatArray, residual: FloatArray) -> tuple[Curve, ...]:
-    """A cloud (N,) over x (N,), and its mean and spread per bin."""
+    """Return the cloud of residuals (N,) over x (N,), and mean and standard deviation per bin."""
     good = np.isfinite(x) & np.isfinite(residual)
     x, residual = x[good], residual[good]
     some = thinned(len(x), CLOUD)
@@ -493,7 +518,7 @@ def _regression(fit: FitFacts, data: DwellPredictions | MotionPredictions, title
 
 
 def regression_curves(measured: FloatArray, predicted: FloatArray) -> _Series:
-    """Measured against predicted (N,) with the line of perfect agreement, R in the corner."""
+    """Return the cloud of measured over predicted values (N,), the line y = x, and a text on R."""
     good = np.isfinite(measured) & np.isfinite(predicted)
     measured, predicted = measured[good], predicted[good]
     some = thinned(len(measured), CLOUD)
@@ -519,9 +544,9 @@ def _per_joint(
     *,
     banded: bool = False,
 ) -> Figure:
-    """Return a panel per joint, described by the RMS of its `residual` (N, n).
+    """Return a figure with one panel per joint, each labelled with the RMS of `residual` (N, n).
 
-    With `banded`, a band shows the noise of the measured signal.
+    If `banded` is true, a shaded band in each panel shows the noise floor of the measured signal.
     """
     fast = fit.values("noise_floor")
     name = f"± RMS of the measured signal's {fit.fast_part}"
@@ -548,11 +573,11 @@ def _residual_of(data: DwellPredictions | MotionPredictions) -> FloatArray:
 
 
 def _mark_size(points: int) -> float:
-    """Few marks are drawn large, many small [px]."""
+    """Return the mark size [px], which decreases with the number of points."""
     return 3.0 if points > 300 else 4.0 if points > 100 else 6.0
 
 
 def _rms(values: FloatArray) -> float:
-    """Root mean square of the finite values, NaN without any."""
+    """Return the root mean square of the finite values; NaN if no value is finite."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")

@@ -1,7 +1,8 @@
-"""Sections about models: how they compare, and each one by itself.
+"""Report sections about models: comparison of all models, and details of each model.
 
-Held-out errors stand beside those on the training data, never alone: only the former say how good
-a model is. Of dwells measured from both sides, gravity and stick friction are told apart.
+The tables show held-out errors beside errors on the training data; only held-out errors measure the
+quality of a model. For dwells measured from both approach directions, the tables separate the error
+in gravity from the error in static friction.
 """
 
 from __future__ import annotations
@@ -32,22 +33,23 @@ from hil.report.words import (
 )
 
 READING = (
-    "RMSE raw compares the prediction with the signal as it was measured, RMSE filtered with the "
-    "same signal after a zero-phase low-pass at 0.20 of the Nyquist frequency (for dwells: their "
-    "mean). What that takes away is shown as the part above the cut-off, for dwells as the scatter "
-    "about their mean: noise, and friction that changes fast. NRMSE is RMSE raw over the standard "
-    "deviation of the training signal: 1 is as good as always predicting the mean, and all there "
-    "is to reach on a joint without signal. R is the correlation of the two (Pearson). MEP is the "
-    "largest single error over the largest measured value: one sample decides it."
+    "RMSE raw compares the prediction with the measured signal, RMSE filtered with the same signal "
+    "after a zero-phase low-pass at 0.20 of the Nyquist frequency (for dwells: with their mean). "
+    "The part removed by the filter is shown as the part above the cut-off (for dwells: the "
+    "scatter about their mean). It consists of noise and of friction that changes fast. NRMSE is "
+    "RMSE raw divided by the standard deviation of the training signal: a constant prediction of "
+    "the mean reaches 1, and no model reaches less on a joint without signal. R is the Pearson "
+    "correlation of prediction and measurement. MEP is the largest single error divided by the "
+    "largest measured value, and depends on one sample."
 )
 
 
 def model_sections(fits: Sequence[FitFacts], shown: Mapping[str, Predictions]) -> list[Section]:
-    """The comparison, then every model; the best one is open, the others unfold on a click.
+    """Return the comparison section and one section per model; only the best model's is unfolded.
 
     Args:
-        fits: With held-out errors, in the order of the page.
-        shown: Label → what can be drawn of it; models without get tables only.
+        fits: Models with held-out errors, in the order of display.
+        shown: Predictions for figures by model label; a model without predictions gets tables only.
     """
     if not fits:
         return []
@@ -74,7 +76,7 @@ def _model(i: int, fit: FitFacts, shown: Predictions | None, *, folded: bool) ->
     blocks += figures_of("model", view)
     blocks.append(_about(fit))
     what = fit.held_out.get("what")
-    lead = f"Judged on what the fit has not seen: {what}." if what else ""
+    lead = f"Evaluated on data that the fit has not used: {what}." if what else ""
     return Section(f"model-{i + 1}", f"Model {fit.label}", lead, tuple(blocks), folded=folded)
 
 
@@ -93,12 +95,12 @@ def _about(fit: FitFacts) -> Facts:
 
 
 def _place(folder: Path) -> str:
-    """From its run: `fit/…`. A fit to files is in no run."""
+    """Return the model folder relative to its run, or its name if the model belongs to no run."""
     return f"fit/{folder.name}" if folder.parent.name == "fit" else folder.name
 
 
 def _setting(value: Any) -> str | None:
-    """In words; None, which is left out, for what was left to the estimator."""
+    """Return a setting as text, or None (omitted) if the default of the estimator applies."""
     if isinstance(value, dict):
         value = {name: inner for name, inner in value.items() if inner is not None}
     return None if value is None else in_words(value)
@@ -107,15 +109,15 @@ def _setting(value: Any) -> str | None:
 HELD_OUT, TRAINED = "held out", "trained on"
 
 BOTH_MOTIONS = (
-    "Motion is told joint by joint, each joint judged in either group by itself. A sample in which "
-    "some joints move and others stand still counts in both groups."
+    "Motion is determined and evaluated for each joint separately. A sample in which some joints "
+    "move and others stand still counts in both groups."
 )
 
-FROM_0 = "Trajectories are counted from 0 as in the recording: of twelve the last is #11."
+FROM_0 = "Trajectories are counted from 0, as in the recording: the last of twelve is #11."
 
 
 def comparison(fits: Sequence[FitFacts]) -> Table:
-    """All models, means over the joints: held-out errors beside those on the training data."""
+    """Return a table of all models with the joint means of held-out and training errors."""
     columns = (
         Column("model", number=False),
         Column("RMSE raw", HELD_OUT),
@@ -132,8 +134,8 @@ def comparison(fits: Sequence[FitFacts]) -> Table:
         f"Models, means over the joints [{fits[0].unit}]{_best_of(fits)}",
         columns,
         tuple(_comparison_row(fit, compared) for fit in fits),
-        "Only held-out errors say how good a model is. Errors on the data it was fitted to show "
-        "how closely it can follow them; a large difference means it has learnt them by heart.",
+        "Only held-out errors measure the accuracy of a model. Errors on the training data show "
+        "how closely the model follows these data; a large difference indicates overfitting.",
     )
     return table.without_empty_columns()
 
@@ -143,8 +145,13 @@ def _alike(fits: Sequence[FitFacts]) -> bool:
 
 
 def _best_of(fits: Sequence[FitFacts]) -> str:
-    """Which of several errs least on what it has not seen: the rows are in another order."""
-    return f"; least on held-out data: {best_first(fits)[0].label}" if len(fits) > 1 else ""
+    """Return a caption suffix that names the model with the smallest held-out error.
+
+    The caption suffix is needed because the rows of the table are in a different order. For a
+    single model, the caption suffix is empty.
+    """
+    best = best_first(fits)[0].label
+    return f"; smallest held-out error: {best}" if len(fits) > 1 else ""
 
 
 def _comparison_row(fit: FitFacts, compared: bool) -> tuple[Cell, ...]:
@@ -161,7 +168,10 @@ def _comparison_row(fit: FitFacts, compared: bool) -> tuple[Cell, ...]:
 
 
 def _verdict_cell(fit: FitFacts, compared: bool) -> Cell:
-    """Of a model without criteria beside others with some: that it is there for comparison."""
+    """Return the table cell with the verdict on a model.
+
+    A model without criteria is labelled as a comparison if other models have criteria.
+    """
     rows = [*fit.criteria, *fit.under_loads]
     if not rows:
         return Cell("for comparison" if compared else "not judged", "quiet")
@@ -172,7 +182,7 @@ def _verdict_cell(fit: FitFacts, compared: bool) -> Cell:
 
 
 def per_joint(fit: FitFacts) -> Table:
-    """Errors per joint, held out and trained side by side, and the criteria they must meet."""
+    """Return a table of held-out and training errors per joint, with the acceptance criteria."""
     limits = _limits(fit.criteria)
     held, relative, trained = f"held out [{fit.unit}]", "held out", f"trained on [{fit.unit}]"
     columns = (
@@ -209,7 +219,7 @@ def per_joint(fit: FitFacts) -> Table:
 
 
 def _limits(criteria: Sequence[Document]) -> dict[str, dict[str, Document]]:
-    """Criterion → joint name (or `mean`) → its row."""
+    """Return the verdict rows by criterion and by joint name (or `mean` for the joint mean)."""
     out: dict[str, dict[str, Document]] = {}
     for row in criteria:
         out.setdefault(criterion_text(row), {})[str(row.get("what"))] = row
@@ -217,7 +227,10 @@ def _limits(criteria: Sequence[Document]) -> dict[str, dict[str, Document]]:
 
 
 def _said(metric: str, value: float) -> str:
-    """Correlations with fixed decimals: 0.99 and 0.999 are far apart, 1e-18 is nothing."""
+    """Return the value of a metric as text.
+
+    Correlations have four decimals, so that values such as 0.99 and 0.999 are distinguishable.
+    """
     if metric == "r" and np.isfinite(value):
         return f"{round(value, 4) + 0.0:.4f}"
     return number(value)
@@ -230,19 +243,22 @@ def _limit_cell(row: Document | None) -> Cell:
 
 
 def _unloaded(fit: FitFacts) -> str:
-    """Why an NRMSE of 1 need not worry, where a joint has no signal to explain."""
+    """Return a note that an NRMSE near 1 is expected for joints without a signal.
+
+    The note about the NRMSE is empty if every joint has a signal.
+    """
     trained = zip(fit.joint_names, fit.values("nrmse", "trained"), strict=True)
     silent = [name for name, value in trained if value >= NO_SIGNAL]
     if not silent:
         return ""
     return (
-        f"An NRMSE near 1 is no fault of the model at {listed(silent, 6)}: hardly loaded in these "
-        "data, there is little but noise and friction to predict. Look at the RMSE there."
+        f"An NRMSE near 1 is not a fault of the model for {listed(silent, 6)}: in these data, the "
+        "signal is little more than noise and friction. Use the RMSE instead."
     )
 
 
 def parts(fit: FitFacts) -> Table | None:
-    """Where load and motion are both new, or only one of them; None when no such parts are kept."""
+    """Return a table of errors with new payload, new motion, or both; None if not stored."""
     if not fit.beside:
         return None
     columns = (
@@ -251,9 +267,9 @@ def parts(fit: FitFacts) -> Table | None:
         Column(f"RMSE raw [{fit.unit}]"),
         Column(f"RMSE filtered [{fit.unit}]"),
     )
-    rows = [_part_row("new load, new motion: judged", fit.total())]
+    rows = [_part_row("new load, new motion: evaluated", fit.total())]
     rows += [_part_row(str(part.get("what")), as_object(part.get("total"))) for part in fit.beside]
-    caption = f"{fit.label}: new loads and new motions apart, means over the joints"
+    caption = f"{fit.label}: new loads and new motions separately, means over the joints"
     return Table(caption, columns, tuple(rows))
 
 
@@ -265,7 +281,10 @@ def _part_row(name: str, errors: Document) -> tuple[Cell, ...]:
 
 
 def per_group(fit: FitFacts) -> Table | None:
-    """Held-out means per source, trajectory, load, …, where there is more than one of a kind."""
+    """Return a table of mean held-out errors per group, such as source, trajectory or payload.
+
+    Groupings with only one group are omitted; None is returned if no grouping remains.
+    """
     groups = [g for g in as_objects(fit.held_out.get("tables")) if g.get("samples")]
     several = [g for g in groups if sum(other.get("by") == g.get("by") for other in groups) > 1]
     if not several:
@@ -293,11 +312,13 @@ def _group_row(group: Document) -> tuple[Cell, ...]:
 
 
 def approach_table(fit: FitFacts, dwells: DwellPredictions) -> Table | None:
-    """Error of the mean of both approaches, and half their difference, per joint.
+    """Return a table of gravity and friction errors per joint; None without paired dwells.
 
-    A pose approached from below and from above holds the same gravity, and friction of opposite
-    sign. Without a memory of the approach no model predicts the second; the first is what it is
-    worth as a model of gravity. None when no pose was measured from both sides.
+    Two dwells at the same pose, approached from below and from above, have the same gravity and
+    friction of opposite sign. The mean of the prediction errors in two paired dwells is therefore
+    the error in gravity. Half the difference of the prediction errors in two paired dwells is the
+    error in friction. A model that does not use the approach direction cannot predict static
+    friction.
     """
     pairs = list(_pairs(dwells))
     if not pairs:
@@ -311,7 +332,7 @@ def approach_table(fit: FitFacts, dwells: DwellPredictions) -> Table | None:
         Column(f"error of the approach mean, RMS [{fit.unit}]"),
         Column(f"half difference, mean [{fit.unit}]"),
         Column(f"half difference, RMS [{fit.unit}]"),
-        Column("its share of the squared error [%]"),
+        Column("share of half difference in squared error [%]"),
     )
     values = (_rms(gravity), friction.mean(axis=0), _rms(friction), _share(gravity, friction))
     rows = [
@@ -320,18 +341,19 @@ def approach_table(fit: FitFacts, dwells: DwellPredictions) -> Table | None:
     ]
     rows.append(cells("mean", *(number(float(np.mean(value))) for value in values)))
     return Table(
-        f"{fit.label}: gravity and stick friction apart, {len(pairs)} held-out poses from both "
-        "sides",
+        f"{fit.label}: errors in gravity and static friction, {len(pairs)} held-out poses "
+        "approached from both directions",
         columns,
         tuple(rows),
-        "The mean of both approaches cancels friction that has the sign of the approach: its "
-        "error is the error in gravity. Half their difference is that friction; it enters the "
-        "RMSE of single dwells in full, whatever the gravity model is worth.",
+        "Static friction has the sign of the approach direction, so it cancels in the mean of both "
+        "dwells: the error of the mean is the error in gravity. Half the difference is "
+        "this friction; it contributes in full to the RMSE of single dwells, however accurate the "
+        "gravity model is.",
     )
 
 
 def _pairs(dwells: DwellPredictions) -> Iterator[tuple[int, int]]:
-    """Dwells at the same pose under the same load, from below and from above."""
+    """Yield pairs of dwells with the same pose and payload: one from below and one from above."""
     keys = list(zip(dwells.pose.tolist(), dwells.load.tolist(), strict=True))
     side = {(key, sign): i for i, (key, sign) in enumerate(zip(keys, dwells.approach, strict=True))}
     for key in dict.fromkeys(keys):
@@ -345,22 +367,25 @@ def _rms(values: FloatArray) -> FloatArray:
 
 
 def _share(gravity: FloatArray, friction: FloatArray) -> FloatArray:
-    """(n,) share of the difference in the squared error of single dwells [%]; NaN without any."""
+    """Return the (n,) share of the friction error in the squared error of single dwells [%].
+
+    The share is NaN for a joint whose errors are all zero.
+    """
     of_friction, total = _rms(friction) ** 2, _rms(friction) ** 2 + _rms(gravity) ** 2
     known = total > 0
     return np.where(known, 100 * of_friction / np.where(known, total, 1.0), np.nan)
 
 
 def criteria_under_loads(fits: Sequence[FitFacts]) -> Table | None:
-    """What was judged under loads; None where nothing was."""
+    """Return a table of the criteria with payloads; None if there are no such criteria."""
     rows = [_row(fit, row) for fit in fits for row in fit.under_loads]
     if not rows:
         return None
     columns = (
         Column("criterion", number=False),
         Column("model", number=False),
-        Column("judged on", number=False),
-        Column("found"),
+        Column("evaluated on", number=False),
+        Column("result"),
         Column("at most"),
         Column("verdict", number=False),
     )
@@ -375,7 +400,7 @@ def _row(fit: FitFacts, row: Document) -> tuple[Cell, ...]:
     return (
         Cell(METRIC_WORDS.get(metric, metric)),
         Cell(fit.label),
-        Cell(f"{where}, the worst" if metric == "load_error_ratio" else _all(where)),
+        Cell(f"{where} (worst)" if metric == "load_error_ratio" else _all(where)),
         Cell(_figure(row.get("value"))),
         Cell(_figure(row.get("max"))),
         Cell("passed", "pass") if passed else Cell("missed", "fail"),
@@ -383,11 +408,11 @@ def _row(fit: FitFacts, row: Document) -> tuple[Cell, ...]:
 
 
 def _all(what: str) -> str:
-    """`all loads`; `run (3 kg)` names those that are wrong."""
+    """Return `all loads`, followed by the names of wrongly declared payloads, if any."""
     wrong = what.partition("(")[2].rstrip(")")
     return f"all loads; wrong: {wrong}" if wrong else "all loads"
 
 
 def _figure(value: Any) -> str:
-    """Loads are counted; ratios have digits."""
+    """Return a value as text: counts of payloads as integers, ratios with three digits."""
     return str(value) if isinstance(value, int) else number(as_float(value))

@@ -1,7 +1,8 @@
-"""The command to type next about a run.
+"""Recommendation of the next `hil` command for a run.
 
-A run that ended early is resumed, one without models is fitted, and so on to a run with which
-nothing is left to do. A commissioning run leads to the next step of commissioning.
+For a run that ended early, the recommendation is to resume; for a run without models, to fit
+models; and so on until no step remains. For a commissioning run, the recommendation is the next
+commissioning step.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ RESUMABLE = ("interrupted", "stopped", "tripped", "failed")
 
 
 def next_command(facts: RunFacts, run: str) -> str:
-    """What to type next about the run at `run`; empty when nothing is left to do."""
+    """Return the next command for the run directory `run`; empty if no step remains."""
     wanted = facts.estimators_wanted
     if facts.commissioning:
         return next_commissioning(facts)
@@ -37,14 +38,14 @@ def next_command(facts: RunFacts, run: str) -> str:
 
 
 def _fitting(facts: RunFacts) -> str:
-    """The estimator for what was found in a recording without spec."""
+    """Return the estimator that suits the motions in a recording without a spec."""
     found = as_object(facts.recorded.get("complete"))
     standing = "dwell" in found and "trajectory" not in found
     return "static-wls" if standing else "rigid-wls"
 
 
 def _can_be_resumed(facts: RunFacts) -> bool:
-    """Return whether `hil resume` has something left to measure or to judge."""
+    """Return whether `hil resume` can measure or evaluate missing parts of the run."""
     if not facts.whole or RunDirectory(facts.path).is_judged:
         return False
     unjudged = facts.status == "completed" and "replayed" not in facts.start
@@ -52,17 +53,22 @@ def _can_be_resumed(facts: RunFacts) -> bool:
 
 
 def _parameters_of_first(facts: RunFacts) -> str:
-    """Those the spec gives its first fit, for a shell: `hil fit` reads no spec."""
+    """Return the parameters of the first fit in the spec as shell options.
+
+    The shell options are needed because `hil fit` does not read the spec.
+    """
     first = as_objects(facts.spec.get("fit"))[0]
     given = (f"{name}={json.dumps(value)}" for name, value in first.items() if name != "estimator")
     return "".join(f" --set {shlex.quote(text)}" for text in given)
 
 
 def next_commissioning(facts: RunFacts) -> str:
-    """The next step of commissioning; the same one again after a run that ended early.
+    """Return the command for the next step of commissioning.
 
-    First all poses at the same speed, then the whole program. Empty while the run goes on, and
-    for a run that does not say where its spec is.
+    If a commissioning run ended early, the command repeats the run. After a part of the program,
+    the command runs the whole program at the same speed. After the whole program, the command runs
+    the whole program at full speed. The command is empty for an active or damaged run, and for a
+    run that does not store the path of its spec.
     """
     spec, station = str(facts.start.get("spec") or ""), str(facts.start.get("station") or "")
     if not spec or facts.status in ("running", "damaged"):
@@ -74,7 +80,7 @@ def next_commissioning(facts: RunFacts) -> str:
     first, first_s, speed = told.get("first"), told.get("first_s"), as_float(told.get("speed"))
     part = str(first) if first else f"{as_float(first_s):g}s" if first_s else ""
     if speed < 1.0 and (part or again):
-        words += ["--speed", f"{100 * speed:g}%"]
+        words += ["--speed-scale", f"{100 * speed:g}%"]
     if part and again:
-        words += ["--first", part]
+        words += ["--limit", part]
     return shlex.join(words)

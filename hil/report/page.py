@@ -1,12 +1,13 @@
-"""A page as data, and the one HTML file it becomes: no network, no neighbours.
+"""Data structure of a page and its conversion into one self-contained HTML file.
 
-A page is a verdict, key figures and sections of tables, figures, facts and notes; nothing that
-builds one writes HTML. A new kind of result adds a function that returns a `Section`; template and
-style stay as they are.
+A page consists of a verdict, key figures and sections with tables, figures, facts and notes.
+Modules that create a page do not write HTML themselves. For a new kind of result, add a function
+that returns a `Section`; the template and the style sheet stay unchanged.
 
-plotly.js is inside, compressed to 2.0 MB from 4.8 MB: a report is one file that can be mailed,
-opened from a read-only share and served by the dashboard. A file shared by all runs of a folder
-would be lost with the first report that is copied elsewhere.
+Every page contains the library plotly.js, compressed from 4.8 MB to 2.0 MB. A report is therefore
+one file that can be sent by e-mail, opened from a read-only share and served by the dashboard. A
+library file shared by all runs of a folder would be missing as soon as a report is copied to a
+different folder.
 """
 
 from __future__ import annotations
@@ -37,9 +38,10 @@ Mark = Literal["", "pass", "fail", "warn", "quiet"]
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One table cell; `mark` adds a sign beside the text, never a colour alone.
+    """Table cell.
 
-    With a `link` the text leads to another page, told relative to this one.
+    The `mark` of a cell adds a sign beside its text, so that the meaning does not depend on colour
+    alone. The `link` of a cell is an address relative to the page.
     """
 
     text: str
@@ -49,7 +51,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One table column; neighbours with the same `group` share a heading above theirs."""
+    """Column of a table; adjacent columns with the same `group` share a heading."""
 
     title: str
     group: str = ""
@@ -58,13 +60,13 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table whose first column names the row.
+    """Table of a page, whose first column contains the row names.
 
     Attributes:
-        caption: Says what is in it, with units.
-        columns: The first one heads the row names.
-        rows: As many cells as columns each.
-        note: Small print below.
+        caption: Title of the table, with the units of its values.
+        columns: Columns of the table, starting with the column of row names.
+        rows: Rows of the table with one cell per column.
+        note: Explanatory text below the table.
     """
 
     caption: str
@@ -75,7 +77,7 @@ class Table:
 
     @property
     def groups(self) -> list[tuple[str, int]]:
-        """Heading and width of every column group, in order; empty when there are none."""
+        """Heading and number of columns of every column group, in order; empty without groups."""
         if not any(column.group for column in self.columns):
             return []
         out: list[tuple[str, int]] = []
@@ -87,7 +89,7 @@ class Table:
         return out
 
     def without_empty_columns(self) -> Table:
-        """The same table without the number columns in which nothing is known."""
+        """Return the table without number columns that contain only unknown values."""
         kept = [
             i
             for i, column in enumerate(self.columns)
@@ -100,7 +102,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Names and values, as a definition list."""
+    """Names with values, displayed as a definition list."""
 
     title: str
     items: tuple[tuple[str, str], ...]
@@ -109,7 +111,7 @@ class Facts:
 
 @dataclass(frozen=True, slots=True)
 class Notes:
-    """Sentences, one below the other."""
+    """Sentences, displayed as a list."""
 
     items: tuple[str, ...]
     kind: Literal["notes"] = "notes"
@@ -117,7 +119,7 @@ class Notes:
 
 @dataclass(frozen=True, slots=True)
 class Paragraphs:
-    """Text to be read from the beginning to the end."""
+    """Continuous text of a page, in paragraphs."""
 
     items: tuple[str, ...]
     kind: Literal["paragraphs"] = "paragraphs"
@@ -128,9 +130,11 @@ Block: TypeAlias = Table | Figure | Facts | Notes | Paragraphs
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of the page with a heading; `folded` ones open on a click (and in print).
+    """Part of a page with a heading and contents.
 
-    In the list of contents it is `short`, by default its title; empty for what has no entry there.
+    If `folded` is true, the section is closed on the screen until a click, but open in print. The
+    text `short` is the entry of the section in the table of contents: the title by default, or
+    empty for no entry.
     """
 
     id: str
@@ -142,13 +146,13 @@ class Section:
 
     @property
     def entry(self) -> str:
-        """What the list of contents calls it."""
+        """Entry of the section in the table of contents."""
         return self.title if self.short is None else self.short
 
 
 @dataclass(frozen=True, slots=True)
 class KeyFigure:
-    """A number people look for first."""
+    """Important number that is displayed at the top of a page."""
 
     label: str
     value: str
@@ -158,7 +162,7 @@ class KeyFigure:
 
 @dataclass(frozen=True, slots=True)
 class Badge:
-    """The verdict in one word."""
+    """Verdict that is displayed as one word."""
 
     text: str
     mark: Mark
@@ -166,7 +170,7 @@ class Badge:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A whole report."""
+    """Complete report page."""
 
     title: str
     subtitle: str
@@ -179,27 +183,27 @@ class Page:
 
 
 def cells(*texts: str) -> tuple[Cell, ...]:
-    """Unmarked cells."""
+    """Return the cells of a table row without marks."""
     return tuple(Cell(text) for text in texts)
 
 
 def items(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
-    """Names and values as text; those without a value are left out."""
+    """Return names and values as text; names without a value are omitted."""
     return tuple((key, str(value)) for key, value in values.items() if value not in (None, "", {}))
 
 
 def write_page(page: Page, path: Path) -> Path:
-    """Write the page to `path`, whole or not at all; an older report there is replaced.
+    """Write the page to `path` atomically, replacing an older page.
 
     Raises:
-        RecordingError: The file cannot be written.
+        RecordingError: The page cannot be written.
     """
     write_replacing(path, utf8_text(page_html(page)).encode())
     return path
 
 
 def page_html(page: Page) -> str:
-    """Return the page as HTML; every text of it is escaped."""
+    """Return the page as HTML with all texts escaped."""
     from markupsafe import Markup
 
     css = files("hil.report").joinpath("report.css").read_text("utf-8")
@@ -212,7 +216,7 @@ def page_html(page: Page) -> str:
             plotted=any(block.kind == "figure" for block in blocks),
             dark=colours.DARK,
             strokes=colours.STROKES,
-            css=Markup(css),  # noqa: S704 - our own file
+            css=Markup(css),  # noqa: S704 - trusted file of this package
             plotly=packed_plotly,
         )
     )
@@ -236,7 +240,7 @@ def _environment() -> Environment:
 
 
 def _in_words(panel: Panel, figure: Figure) -> str:
-    """Return what a panel shows, for those who do not see it: every series with its range."""
+    """Return the alternative text of a panel: every curve with its range of values."""
     if panel.alt:
         return panel.alt
     told = [f"{figure.title}, {panel.title}", *([panel.corner] if panel.corner else [])]
@@ -250,8 +254,8 @@ def _in_words(panel: Panel, figure: Figure) -> str:
 
 @cache
 def packed_plotly() -> str:
-    """Return plotly.js as base64 of gzip, which every browser since 2023 unpacks by itself."""
+    """Return the compressed plotly.js (gzip, base64), which browsers since 2023 can unpack."""
     from plotly.offline import get_plotlyjs
 
-    # A time of zero: equal pages are equal files.
+    # A time stamp of zero, so that equal pages yield byte-identical files.
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode("ascii")

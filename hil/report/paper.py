@@ -1,6 +1,7 @@
-"""Figures of runs and pages, and tables of studies, as files for papers.
+"""Export of figures of runs and pages, and of tables of studies, as files for publications.
 
-Figures become PDF, SVG or PNG; tables become CSV with all digits, and LaTeX to be read.
+Figures are exported as PDF, SVG or PNG files. Tables are exported as CSV files with full precision,
+and as LaTeX files with rounded values.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ REPORT_FILE = "report.html"
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One table or figure of a study.
+    """Table or figure of a study.
 
     Attributes:
-        stem: File name without its ending, unique among all of a run.
-        study: Title of the study, unlike that of every other of the run.
-        part: Where it stands.
+        stem: File name without extension, unique within the run.
+        study: Title of the study that contains the item, unique within the run.
+        part: Part of the study that contains the item.
         what: The table or figure itself.
     """
 
@@ -46,25 +47,26 @@ class Item:
 def figures(
     run: AnyPath, out: AnyPath, *, formats: Sequence[str] = ("pdf",), width: str = "column"
 ) -> list[Path]:
-    """Write the figures of a run or a page, and tables of studies, as files for papers.
+    """Write the figures of a run or a page, and the tables of studies, as files for publications.
 
-    A figure of a study becomes `<key>.pdf` and the like, a table `<key>.csv` and `<key>.tex`, a
-    figure of the page `<section>-<title>.pdf`; `contents.md` holds titles, captions and notes.
-    Files that are there are replaced.
+    The file name is `<key>.pdf` (or a different extension) for a figure of a study, `<key>.csv` and
+    `<key>.tex` for a table, and `<section>-<title>.pdf` for a figure of the page. The file
+    `contents.md` lists titles, captions and notes of all files. Existing files with the same names
+    are replaced.
 
     Args:
-        run: The run directory, or an HTML page that hil wrote.
-        out: Folder for the files; made when missing.
-        formats: Of the figures: `pdf`, `svg`, `png`.
-        width: `column` (88 mm) or `page` (181 mm).
+        run: Path of a run directory, or of an HTML page written by hil.
+        out: Path of the output folder, which is created if missing.
+        formats: File formats of the figures: `pdf`, `svg`, `png`.
+        width: Width of the figures: `column` (88 mm) or `page` (181 mm).
 
     Returns:
-        What was written.
+        Paths of the written files.
 
     Raises:
-        DataError: There is no figure, or a study or the page is damaged.
-        SpecError: There is no such format or width.
-        RecordingError: The folder cannot be written to.
+        DataError: There is no figure to export, or a study or the page is damaged.
+        SpecError: A file format or the width is unknown.
+        RecordingError: The output folder cannot be written.
     """
     run, out = path_of(run), path_of(out)
     _require(formats, get_args(Format), "format")
@@ -75,7 +77,7 @@ def figures(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
-            f"cannot make the folder {out}: {error.strerror}", hint="choose another place for it"
+            f"cannot create the folder {out}: {error.strerror}", hint="choose another folder"
         ) from None
     files = [file for item in found for file in _files(item, formats, width)]
     files += [
@@ -92,21 +94,25 @@ def figures(
 def _require(given: Sequence[str], known: Sequence[str], what: str) -> None:
     for name in given:
         if name not in known:
-            raise SpecError(f"there is no {what} {name!r}", hint=f"choose from {', '.join(known)}")
+            raise SpecError(f"unknown {what} {name!r}", hint=f"choose from {', '.join(known)}")
 
 
 def _page_plots(run: Path, told: bool) -> list[tuple[str, Placed]]:
-    """The plots of a page, or of a run's report but those of its studies, with names for files.
+    """Return the plots of a page, each with a unique file name.
+
+    Plots of studies in the report of a run are omitted here, because they are exported from the
+    study results.
 
     Args:
-        run: A page or a run directory.
-        told: Whether the run has figures besides; else a report without plots is an error.
+        run: Path of a page or of a run directory.
+        told: Whether the run has other figures than those of the page; if not, a missing report is
+            an error.
     """
     page = run / REPORT_FILE if run.is_dir() else run
     if run.is_dir() and not page.exists():
         if told:
             return []
-        raise DataError(f"{run} has no report yet", hint=f"make it first: hil report {run}")
+        raise DataError(f"{run} has no report yet", hint=f"write it first: hil report {run}")
     plots = [each for each in placed_figures(page) if run.is_file() or not _is_of_study(each)]
     stems = _unique([_stem(each) for each in plots])
     return list(zip(stems, plots, strict=True))
@@ -126,13 +132,16 @@ def _unique(stems: Sequence[str]) -> list[str]:
 
 
 def _stem(plots: Placed) -> str:
-    """`excitation-pose-map`; what a title adds behind a comma is left out."""
+    """Return a file name such as `excitation-pose-map` for a plot.
+
+    The part of the title after a comma or a question mark is omitted from the file name.
+    """
     title = _slug(re.split(r"[,?]", plots.figure.title.lower())[0])
     return title if title == plots.section else _slug(plots.section, title)
 
 
 def _slug(*words: str) -> str:
-    """Words as part of a file name."""
+    """Return words in the form of a file name."""
     return "-".join(filter(None, (re.sub(r"[^\w.]+", "-", word).strip("-.") for word in words)))
 
 
@@ -146,7 +155,7 @@ def _files(item: Item, formats: Sequence[str], width: str) -> Iterator[tuple[str
 
 
 def _contents(found: Sequence[Item]) -> str:
-    """What each file holds, with the caption: figures as files have none."""
+    """Return a list of the files with captions, because exported figures contain no captions."""
     lines = ["# Figures and tables", ""]
     title = ""
     for item in found:
@@ -168,10 +177,11 @@ def _page_contents(plots: Sequence[tuple[str, Placed]]) -> str:
 
 
 def items(results: Sequence[StudyResult]) -> list[Item]:
-    """All tables and figures with names for their files.
+    """Return all tables and figures of studies, each with a unique file name.
 
-    The key is the name. Where two protocols of a study have the same key, the protocol stands
-    behind it (`fig-7-paper`); where a run has several studies, their names stand before it.
+    The file name of a table or figure is its key. If two parts of a study contain the same key, the
+    protocol is appended (`fig-7-paper`). If a run has several studies, the name of the study is
+    prepended to the file name.
     """
     titles = distinct_titles(results)
     placed = [
@@ -196,7 +206,7 @@ def _in(part: Part) -> tuple[Table | Figure, ...]:
 
 
 def csv_text(table: Table) -> str:
-    """The table as CSV: numbers with all digits, nothing where there is none."""
+    """Return the table as CSV with full precision; missing values are empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table.columns)
@@ -211,7 +221,10 @@ def _exact(value: Value) -> str:
 
 
 def latex_text(table: Table) -> str:
-    """The table as a `tabular` with the rules of booktabs; title and note above it."""
+    """Return the table as a LaTeX `tabular` with booktabs rules.
+
+    The title and the note of the table precede it as LaTeX comments.
+    """
     said = [table.title, *([table.note] if table.note else [])]
     numeric = [is_numeric(table, i) for i in range(len(table.columns))]
     texts = [
@@ -306,15 +319,22 @@ _LATEX = str.maketrans(
         "µ": r"$\mu$",
     }
 )
-"""What LaTeX does not take as it is; everything else is UTF-8, which it has read since 2018."""
+"""Replacements for characters that LaTeX cannot process directly.
+
+LaTeX has processed all other UTF-8 characters directly since 2018.
+"""
 
 
 def _escaped(text: str, is_number: bool = False) -> str:
-    # A hyphen is shorter than a minus.
+    # Use a minus sign, because a hyphen is too short.
     return (text.replace("-", "−") if is_number else text).translate(_LATEX)
 
 
 def _row(texts: Sequence[str]) -> str:
-    """A row; a bracket at its beginning would be taken for an option of the line before."""
+    """Return a table row in LaTeX.
+
+    An empty group precedes a leading bracket, which LaTeX would otherwise read as an option of the
+    previous row.
+    """
     first = "{}" if texts[0].startswith("[") else ""
     return first + " & ".join(texts) + r" \\"

@@ -1,9 +1,9 @@
-"""The picture of a plan: `hil plan SPEC --picture FILE`, the notebook card, the dashboard.
+"""Picture of a plan for `hil plan SPEC --picture FILE`, for notebooks and for the dashboard.
 
-One self-contained SVG that follows the viewer's light or dark setting. From top to bottom: every
-joint over the whole plan with the measured positions marked, a close look at the first
-measurements, peak speed and acceleration against their limits, and where the flange is measured,
-from above and from the side.
+The picture is one self-contained SVG that follows the light or dark mode of the viewer. From top to
+bottom, the picture shows: every joint over the whole plan with the measured positions marked; a
+close-up of the first measurements; peak speed and acceleration relative to their limits; the
+measured flange positions from above and from the side.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ if TYPE_CHECKING:
 
 WIDTH = 240.0
 STRIP, HEADING, CLOSE_UP, VIEWS = 14.0, 12.0, 62.0, 84.0
-"""Heights of the parts [mm]."""
+"""Heights of the parts of a plan picture [mm]."""
 
 CLOSE_UP_S = 40.0
 POINTS = 1500
 TRAJECTORY_POINTS = 120
 PLACES = 2000
-"""Flange positions that are drawn at most."""
+"""Maximum number of flange positions that are drawn."""
 
 MOTION = Look(colours.NEUTRAL, width=0.6)
 
 
 def plan_picture(plan: Plan, path: Path) -> Path:
-    """Write the picture of `plan` to `path` (.svg), replacing an older one; return the path.
+    """Write the picture of `plan` to `path` (.svg), replacing an older file, and return the path.
 
     Raises:
-        RecordingError: The file cannot be written.
+        RecordingError: The picture file cannot be written.
     """
     write_replacing(path, picture_of(plan).encode())
     return path
 
 
 def picture_of(plan: Plan) -> str:
-    """Return the picture as the text of an SVG."""
+    """Return the picture of a plan as the text of an SVG file."""
     timeline = timeline_of(plan)
     figures = [figure for make in PARTS if (figure := make(plan, timeline)).panels]
     tall = [STRIP * len(plan.joint_names) + 16, CLOSE_UP, VIEWS][: len(figures)]
@@ -69,7 +69,7 @@ def picture_of(plan: Plan) -> str:
 
 
 def plan_card(plan: Plan) -> str:
-    """HTML for `Plan._repr_html_`."""
+    """Return the HTML that `Plan._repr_html_` returns."""
     told = preview(plan)
     margins = plan.margins
     clear = margins.get("clearance_m", math.nan)
@@ -105,7 +105,7 @@ def _heading(plan: Plan) -> tuple[str, str]:
 
 
 def overview(plan: Plan, timeline: Timeline) -> Figure:
-    """A strip per joint over the whole plan."""
+    """Return the figure of the whole plan with one strip per joint."""
     minutes = timeline.duration_s > 180
     unit_s = 60.0 if minutes else 1.0
     dots = Look(colours.MEASURED, size=2.6, opacity=1.0)
@@ -132,7 +132,7 @@ def overview(plan: Plan, timeline: Timeline) -> Figure:
 
 
 def close_up(plan: Plan, timeline: Timeline) -> Figure:
-    """All joints over the first measurements, dwells and trajectories shaded."""
+    """Return the figure of all joints over the first measurements, with shaded spans."""
     begin, end = timeline.close_up(CLOSE_UP_S)
     inside = (timeline.t >= begin) & (timeline.t <= end)
     curves = []
@@ -145,14 +145,14 @@ def close_up(plan: Plan, timeline: Timeline) -> Figure:
     panel = Panel("", *axes, tuple(curves), x_axis=Axis(limits=(begin, end)), spans=spans)
     moving = any(span.step.kind == "trajectory" for span in timeline.spans)
     shaded = "a trajectory is measured" if moving else (
-        "measured at rest, ▲ arrived from below, ▼ from above"
+        "dwells, ▲ approached from below, ▼ from above"
     )  # fmt: skip
     title = f"The first measurements; shaded: {shaded}"
     return Figure("close-up", title, "", (panel,), 1)
 
 
 def peaks_and_places(plan: Plan, timeline: Timeline) -> Figure:
-    """Peak speed and acceleration of each joint, and where the flange is measured."""
+    """Return the figure of peak speed and acceleration per joint, and of flange positions."""
     panels = [_peaks(plan)]
     places = timeline.flange_places(plan)
     if len(places):
@@ -160,12 +160,12 @@ def peaks_and_places(plan: Plan, timeline: Timeline) -> Figure:
             _view("Flange from above", places[:, 0], places[:, 1], "y [m]"),
             _view("Flange from the side", places[:, 0], places[:, 2], "z [m]"),
         ]
-    return Figure("peaks", "Peaks against the plan's limits, and measured places", "",
+    return Figure("peaks", "Peaks relative to the limits of the plan; measured positions", "",
                   tuple(panels), 3)  # fmt: skip
 
 
 PARTS = (overview, close_up, peaks_and_places)
-"""Of the picture, from top to bottom."""
+"""Functions that create the parts of the plan picture, from top to bottom."""
 
 
 def _peaks(plan: Plan) -> Panel:
@@ -206,7 +206,7 @@ def _short(joint: int, name: str) -> str:
 
 
 class Measured(NamedTuple):
-    """A measuring step: from `begin` to `end` [s], with its approach and number."""
+    """Measuring step of a plan from time `begin` to time `end` [s], with its approach direction."""
 
     begin: float
     end: float
@@ -216,13 +216,13 @@ class Measured(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """A plan unrolled over estimated time.
+    """Motion of a plan over the estimated time.
 
     Attributes:
-        t: (N,) [s].
-        q: (N, n) [rad].
-        spans: The measuring steps in order.
-        duration_s: Of the whole plan.
+        t: (N,) time [s].
+        q: (N, n) joint angles [rad].
+        spans: Measuring steps of the plan in order.
+        duration_s: Estimated duration of the whole plan [s].
     """
 
     t: FloatArray
@@ -231,21 +231,29 @@ class Timeline:
     duration_s: float
 
     def dwells(self, joint: int) -> tuple[FloatArray, FloatArray]:
-        """Time [s] and angle [rad] of every dwell of one joint."""
+        """Return time [s] and angle [rad] of one joint in every dwell."""
         held = [span for span in self.spans if span.step.kind in ("dwell", "reference")]
         times = np.array([(span.begin + span.end) / 2 for span in held])
         angles = [span.step.motion.q_end[joint] for span in held if span.step.motion]
         return times, np.array(angles)
 
     def trajectories(self, joint: int, points: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Time [s] and angle [rad] of one joint along each trajectory, about `points` of them."""
+        """Yield time [s] and angle [rad] of one joint along each trajectory.
+
+        Args:
+            joint: Index of the joint.
+            points: Approximate number of points per trajectory.
+        """
         for span in self.spans:
             if span.step.kind == "trajectory" and span.step.motion is not None:
                 samples = span.step.motion.sample(points / (span.end - span.begin))
                 yield span.begin + samples.t, samples.q[:, joint]
 
     def close_up(self, length_s: float) -> tuple[float, float]:
-        """Begin and end [s] of the first trajectory, or of `length_s` from the first dwell on."""
+        """Return the start and the end of the close-up [s].
+
+        The close-up shows the first trajectory, or `length_s` from the start of the first dwell.
+        """
         if not self.spans:
             return 0.0, self.duration_s
         first = next((s for s in self.spans if s.step.kind == "trajectory"), self.spans[0])
@@ -253,7 +261,7 @@ class Timeline:
         return max(0.0, first.begin - 1.0), min(self.duration_s, first.begin - 1.0 + length)
 
     def flange_places(self, plan: Plan) -> FloatArray:
-        """(M, 3) flange positions [m] at measured poses, thinned."""
+        """Return about `PLACES` flange positions [m] at measured poses, (M, 3)."""
         measured = [span.step.motion for span in self.spans if span.step.motion]
         if not measured:
             return np.empty((0, 3))
@@ -263,7 +271,7 @@ class Timeline:
 
 
 def timeline_of(plan: Plan) -> Timeline:
-    """Unroll `plan`; dwells take their estimated time."""
+    """Return the motion of a plan over estimated time, including the estimated time of dwells."""
     times, positions, spans = [np.zeros(1)], [plan.q_start[None]], list[Measured]()
     now = 0.0
     for step in plan:

@@ -1,8 +1,9 @@
-"""Figures as plotly.js has them: written into pages, and read back from pages.
+"""Conversion of figures to plotly documents in pages, and of plotly documents to figures.
 
-`plotly_of` turns a panel into the document that stands beside it in the page, and `placed_figures`
-reads all figures of a page again: `hil figures` draws them for papers from the page alone, also
-from one whose recordings are gone, and from pages of every earlier version of hil.
+The function `plotly_of` converts a panel into the plotly document that is embedded in a page. The
+function `placed_figures` reads all figures of a page. The command `hil figures` can therefore
+export figures from the page alone, even if the recordings were deleted, and from pages of all
+earlier versions of hil.
 """
 
 from __future__ import annotations
@@ -26,17 +27,21 @@ from hil.studies import Axis, Band, Curve, Figure, Grid, Look, Mark, Panel, Scal
 Trace: TypeAlias = dict[str, Any]
 
 BAND_FROM = 30
-"""Error bars of a line with more points than this would be a smear: they become its edges."""
+"""Maximum number of points of a line with individual error bars; for more points, the error is
+drawn as two edge lines.
+
+With more points, individual error bars would overlap.
+"""
 
 LEFT = {"showarrow": False, "xanchor": "left", "yanchor": "top"}
 DOTS = {"color": NEUTRAL, "width": 1.5, "dash": "dot"}
 TICK = "line-ew-open"
 BROAD = 9
-"""Thickness of a range [px]; its ends are drawn in a line of 1 px."""
+"""Thickness of a range bar [px]; the ends of the bar are drawn with a line of 1 px."""
 
 
 def plotly_of(panel: Panel) -> dict[str, Any]:
-    """Return `{"data": [traces], "layout": {…}}` of a dressed panel, arrays as they are."""
+    """Return `{"data": [traces], "layout": {…}}` of a dressed panel; arrays are not converted."""
     bars = any(curve.style == "bars" for curve in panel.curves)
     layout: dict[str, Any] = {
         "xaxis": {"title": {"text": escape(panel.x_title)}} | _scale(panel.x_axis, None),
@@ -77,7 +82,11 @@ def _scale(axis: Axis, panel: Panel | None) -> dict[str, Any]:
 
 
 def _decades(axis: Axis, panel: Panel) -> dict[str, Any]:
-    """Ticks of a logarithmic axis: 1, 2, 5 over few decades, powers of ten over many."""
+    """Return the plotly settings for the ticks of a logarithmic axis.
+
+    The ticks of the axis are 1, 2 and 5 per decade for a narrow range, and powers of ten for a wide
+    range.
+    """
     values = np.concatenate([np.empty(0), *(y_of(curve) for curve in panel.curves)])
     values = values[np.isfinite(values) & (values > 0)]
     low, high = axis.limits or ((values.min(), values.max()) if len(values) else (1.0, 1.0))
@@ -103,7 +112,7 @@ def _mark(mark: Mark) -> dict[str, Any]:
 
 
 def _traces(panel: Panel, curve: Curve) -> list[Trace]:
-    """Return what plotly draws a curve by, in drawing order."""
+    """Return the plotly traces of a curve in drawing order."""
     look = curve.look
     assert look is not None, "dress the figure first"
     if curve.style == "identity":
@@ -123,12 +132,12 @@ def _traces(panel: Panel, curve: Curve) -> list[Trace]:
     if curve.style == "ticks":
         tick = {"symbol": TICK, "size": 30, "color": look.colour, "line": {"width": 4}}
         return [own | {"mode": "markers", "marker": tick}]
-    # The legend above all panels has what is no bar.
+    # The legend above all panels shows all curves except bars.
     own["showlegend"] = False
     line = {"color": look.colour, "dash": look.dash, "width": look.width}
     mark = {"color": look.colour, "symbol": look.symbol, "size": look.size or _size(len(y))}
     if curve.style == "ranges":
-        # Broad bars: a line would say something of the time between them.
+        # Separate bars, because a line would suggest values between the points.
         own |= {"mode": "markers", "hoverinfo": "skip", "marker": mark | {"size": 1}}
         both = (_error(error, FILL, BROAD, 0), _error(error, NEUTRAL, 1, 4.5))
         return [own | {"error_y": bar} for bar in both]
@@ -153,7 +162,7 @@ def _error(error: FloatArray, colour: str, thick: float = 1.4, width: float = 3)
 
 
 def _size(points: int) -> float:
-    """Few marks are drawn large, many small [px]."""
+    """Return the mark size [px], which decreases with the number of points."""
     return 3.0 if points > 300 else 4.0 if points > 100 else 6.0 if points > 30 else 9.0
 
 
@@ -183,10 +192,11 @@ _HTML_SAFE = str.maketrans(
 
 
 def figure_json(figure: dict[str, Any]) -> str:
-    """Return JSON of a figure with arrays as base64 of float32, which plotly.js reads natively.
+    """Return a figure as JSON with arrays as base64-encoded float32, for plotly.js.
 
-    Seven significant digits are more than a plot shows and less than half the size of text. `<`,
-    `>` and `&` are escaped, so no text inside can end the script element it stands in.
+    The seven significant digits of float32 exceed the resolution of a plot; float32 arrays take
+    less than half the size of text. The characters `<`, `>` and `&` are escaped, so that no text in
+    the JSON can end the enclosing script element.
     """
     text = json_text(_plain(figure), separators=(",", ":"), allow_nan=False)
     return text.translate(_HTML_SAFE)
@@ -212,12 +222,12 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A figure of a page.
+    """Figure of a page, with the section that contains the figure.
 
     Attributes:
-        section: Id of the section it is in.
-        place: Heading of that section.
-        figure: What it shows.
+        section: Id of the section in the page.
+        place: Heading of the section.
+        figure: The figure.
     """
 
     section: str
@@ -229,13 +239,13 @@ def placed_figures(page: Path) -> list[Placed]:
     """Return all figures of a page.
 
     Raises:
-        DataError: The file cannot be read, is no page of hil, or one without plots.
+        DataError: The file cannot be read, is not a page written by hil, or contains no plots.
     """
     try:
         text = page.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(
-            f"{page} cannot be read: {error}", hint="see whether it exists and may be read"
+            f"{page} cannot be read: {error}", hint="check whether it exists and its permissions"
         ) from error
     reader = _Reader()
     try:
@@ -243,17 +253,17 @@ def placed_figures(page: Path) -> list[Placed]:
         reader.close()
     except (ValueError, LookupError) as error:
         raise DataError(
-            f"{page} is no page of hil, or damaged: {error}",
-            hint="make the page anew: hil report RUN",
+            f"{page} is damaged or was not written by hil: {error}",
+            hint="write the page again: hil report RUN",
         ) from error
     found = reader.placed()
     if not found:
-        raise DataError(f"{page} has no plots", hint="give a page that hil wrote, or a run")
+        raise DataError(f"{page} has no plots", hint="name a page written by hil, or a run")
     return found
 
 
 class _Reader(HTMLParser):
-    """Collects headings, captions and the documents beside the plots."""
+    """HTML parser that collects headings, captions and the plotly documents of a page."""
 
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)
@@ -263,7 +273,10 @@ class _Reader(HTMLParser):
         self._text: list[str] = []
 
     def placed(self) -> list[Placed]:
-        """Return what has been read; panels that take the whole width are figures of their own."""
+        """Return the figures that the parser has read so far.
+
+        Panels with the full width of the page become separate figures.
+        """
         out = []
         for section, place, title, panels in self._plots:
             apart = len(panels) > 1 and all(panel.wide for panel in panels)
@@ -304,20 +317,24 @@ class _Reader(HTMLParser):
             self._plots[-1][3].append(self._panel(text))
 
     def _panel(self, text: str) -> Panel:
-        """Raises `ValueError` that names the plot: pages may be old, or damaged."""
+        """Return the panel that a plotly document describes.
+
+        Raises:
+            ValueError: The document is invalid, for example in an old or damaged page.
+        """
         try:
             return panel_of(json.loads(text), self._caption, wide=self._wide)
         except KeyError as error:
-            raise ValueError(f"in the plot {self._caption!r}: there is no {error}") from error
+            raise ValueError(f"in the plot {self._caption!r}: {error} is missing") from error
         except (ValueError, TypeError, IndexError, AttributeError) as error:
             raise ValueError(f"in the plot {self._caption!r}: {error}") from error
 
 
 def panel_of(raw: Any, title: str, *, wide: bool = False) -> Panel:
-    """Return what a document of plotly shows: the inverse of `plotly_of`.
+    """Return the panel that a plotly document describes: the inverse of `plotly_of`.
 
     Raises:
-        KeyError, ValueError, TypeError, IndexError, AttributeError: It is damaged.
+        KeyError, ValueError, TypeError, IndexError, AttributeError: The plotly document is damaged.
     """
     layout, curves, grid = raw["layout"], list[Curve](), None
     for trace in raw["data"]:
@@ -333,7 +350,7 @@ def panel_of(raw: Any, title: str, *, wide: bool = False) -> Panel:
         elif trace["type"] == "scatter":
             curves += _scatter(trace)
         else:
-            raise ValueError(f"a trace is of the unknown type {trace['type']!r}")
+            raise ValueError(f"a trace has the unknown type {trace['type']!r}")
     texts = [(text, str(text["text"])) for text in layout.get("annotations") or ()]
     said = {str(text["x"]): unescape(word) for text, word in texts if text.get("xref") != "paper"}
     corner = [unescape(word) for text, word in texts if text.get("xref") == "paper"]
@@ -356,7 +373,11 @@ def panel_of(raw: Any, title: str, *, wide: bool = False) -> Panel:
 
 
 def _scatter(trace: Any) -> list[Curve]:
-    """Return the curve of a trace; none for the ends of ranges, which are drawn with them."""
+    """Return the curve of a plotly trace in a list.
+
+    The list is empty for a trace with the ends of a range, which belong to the curve of a different
+    trace.
+    """
     line, mark, mode = trace.get("line") or {}, trace.get("marker") or {}, str(trace["mode"])
     symbol = str(mark.get("symbol") or "circle")
     thick = float((trace.get("error_y") or {}).get("thickness") or 0)
@@ -390,12 +411,12 @@ def _curve(trace: Any, style: Any, look: Look) -> Curve:
 
 
 def _array(value: Any) -> FloatArray:
-    """Numbers, packed or as a list in which null is NaN."""
+    """Return an array that is stored as base64 data, or as a list in which null stands for NaN."""
     if isinstance(value, dict):
         packed = np.frombuffer(base64.b64decode(value["bdata"]), "<f4").astype(np.float64)
         return packed.reshape([int(n) for n in str(value.get("shape", packed.size)).split(",")])
     if not isinstance(value, list):
-        raise ValueError("numbers are expected in a list")
+        raise ValueError("expected a list of numbers")
     return np.array(value, dtype=np.float64)
 
 

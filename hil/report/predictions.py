@@ -1,9 +1,10 @@
-"""What a model predicts of held-out data, as a page draws it.
+"""Model predictions of held-out data for the figures of a page.
 
-`held_out_of` selects the series a model was judged on, `predict_with` predicts them. Dwells are
-averaged: their rows are repeats of one measurement. Trajectories keep their rows. Friction is shown
-apart: the measured effort less everything the model attributes to something else, beside the
-friction of the model. It is in N·m where the model knows the drive gains.
+The function `held_out_of` selects the series on which a model was evaluated; `predict_with`
+predicts the effort of these series. The samples of a dwell are averaged, because all of them repeat
+one measurement. The samples of trajectories are not averaged. Measured friction is the measured
+effort minus all components of the model except friction. Figures compare the measured friction with
+the friction of the model. The unit is N·m if the model knows the drive gains.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Predictions:
-    """What can be drawn of one model on one held-out dataset; every part may be missing."""
+    """Predictions of one model for one hold-out set; a part without data is None."""
 
     dwells: DwellPredictions | None
     motions: MotionPredictions | None
@@ -46,14 +47,14 @@ class Predictions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DwellPredictions:
-    """Means over each held-out dwell.
+    """Mean values over each held-out dwell.
 
     Attributes:
-        t: (D,) when [s].
-        q: (D, n) where [rad].
-        measured, predicted: (D, n) mean effort.
-        approach: (D,) +1 approached from below, −1 from above, 0 unknown.
-        pose, load: (D,) pose numbers; indices of the loads.
+        t: (D,) start time of each dwell [s].
+        q: (D, n) joint angles [rad].
+        measured, predicted: (D, n) mean measured effort and mean predicted effort.
+        approach: (D,) approach direction: +1 from below, −1 from above, 0 if unknown.
+        pose, load: (D,) pose numbers and payload numbers.
     """
 
     t: FloatArray
@@ -67,13 +68,14 @@ class DwellPredictions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionPredictions:
-    """Held-out trajectories, rows the model calls valid.
+    """Predictions in held-out trajectories; NaN for rows that the model marks as invalid.
 
     Attributes:
-        worst: Conditions of the trajectory with the largest error; shown over time.
-        t, measured, predicted: Of that trajectory, (M,) and (M, n).
-        q, qd, all_measured, all_predicted: Of all held-out trajectories, (N, n).
-        count: How many trajectories there are.
+        worst: `Conditions` of the trajectory with the largest relative error.
+        t, measured, predicted: Time (M,) and effort (M, n) of the trajectory with the largest
+            relative error.
+        q, qd, all_measured, all_predicted: Values (N, n) of all held-out trajectories.
+        count: Number of held-out trajectories.
     """
 
     worst: Conditions
@@ -89,11 +91,11 @@ class MotionPredictions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Friction:
-    """What is known of a model's friction; either part may be missing.
+    """Measured friction and friction of a model; an attribute is None if unknown.
 
     Attributes:
-        unit: `N·m`, or `A` if the drive gains are unknown.
-        at_rest, in_motion: In that unit.
+        unit: Unit of friction: `N·m`, or `A` if the drive gains are unknown.
+        at_rest, in_motion: Friction at standstill, and friction along trajectories, in `unit`.
     """
 
     unit: str
@@ -103,14 +105,16 @@ class Friction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionAtRest:
-    """Friction of held-out dwells: means over the rows the model is valid in, NaN without any.
+    """Friction in held-out dwells, as mean over the valid rows of each dwell.
+
+    The friction is NaN for a dwell without valid rows.
 
     Attributes:
-        q: (D, n) where [rad].
-        measured: (D, n) mean effort less the model's gravity, offset and load.
-        predicted: (D, n) friction of the model, with what its network adds; None where it knows
-            none at rest.
-        approach: (D,) +1 approached from below, −1 from above, 0 unknown.
+        q: (D, n) joint angles [rad].
+        measured: (D, n) mean measured effort minus gravity, offset and payload effort of the model.
+        predicted: (D, n) friction of the model, including the output of a residual network; None if
+            the model has no static friction.
+        approach: (D,) approach direction: +1 from below, −1 from above, 0 if unknown.
         pose: (D,) pose numbers.
     """
 
@@ -123,15 +127,17 @@ class FrictionAtRest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionInMotion:
-    """Friction along held-out trajectories, rows the model calls valid.
+    """Friction along held-out trajectories; NaN for rows that the model marks as invalid.
 
     Attributes:
-        qd: (N, n) [rad/s].
-        measured: (N, n) effort less the model's gravity, inertia and load.
-        predicted: (N, n) friction of the model, with what its network adds.
-        law_qd: (M, n) velocities of the curve, rising over those of the data [rad/s].
-        curve: The same at these velocities; None, as `law_qd`, where the model gives none.
-        learned: Whether a network adds something.
+        qd: (N, n) velocities [rad/s].
+        measured: (N, n) measured effort minus gravity, inertia and payload effort of the model.
+        predicted: (N, n) friction of the model, including the output of a residual network.
+        law_qd: (M, n) increasing velocities of the friction curve, within the range of the data
+            [rad/s]; None if the model has no friction curve.
+        curve: Friction curve evaluated at the velocities `law_qd`; None if the model has no
+            friction curve.
+        learned: Whether a residual network contributes to the friction.
     """
 
     qd: FloatArray
@@ -143,25 +149,27 @@ class FrictionInMotion:
 
 
 def held_out_of(fit: FitFacts, data: Dataset) -> Dataset:
-    """The series of a run that a model was judged on, as its `evaluation.json` names them.
+    """Return the series of a run on which a model was evaluated, as listed in `evaluation.json`.
 
-    Ids begin with the name the run directory had then; it may have been renamed since.
+    The ids of the series contain the former name of the run directory; therefore, only the part
+    after the colon is compared.
 
     Raises:
-        DataError: It was judged on another recording, or names no series that are in this one.
+        DataError: The model was evaluated on a different recording, or none of the series of the
+            evaluation exist in this recording.
     """
     recorded = {Path(condition.source).name for condition in data.conditions}
     if fit.source and Path(fit.source).name not in recorded:
         raise DataError(
-            f"it was judged on {fit.source}, not on this recording",
-            hint="plots of other recordings: hil fit SOURCE --validate OTHER_RUN --report PAGE",
+            f"the model was evaluated on {fit.source}, not on this recording",
+            hint="plot other recordings: hil fit SOURCE --validate OTHER_RUN --report PAGE",
         )
     judged = {_within_run(str(name)) for name in as_names(fit.held_out.get("series"))}
     held_out = data.select(lambda condition: _within_run(condition.id) in judged)
     if not held_out.conditions:
         raise DataError(
-            f"{fit.folder.name}/evaluation.json names no held-out series of this recording",
-            hint="fit and judge again: hil fit RUN --estimator NAME --validate OTHER_RUN",
+            f"{fit.folder.name}/evaluation.json lists no held-out series of this recording",
+            hint="fit and evaluate again: hil fit RUN --estimator NAME --validate OTHER_RUN",
         )
     return held_out
 
@@ -171,10 +179,10 @@ def _within_run(name: str) -> str:
 
 
 def predict_with_file(folder: Path, data: Dataset, judged: Judged | None = None) -> Predictions:
-    """Predict held-out data with a saved model; predictions in `judged` are reused.
+    """Predict the held-out data with a saved model; predictions in `judged` are reused.
 
     Raises:
-        HilError: The model cannot be loaded, or does not fit the data.
+        HilError: The model cannot be loaded, or cannot be applied to the held-out data.
     """
     from hil.evaluation import usable_part
 
@@ -183,7 +191,7 @@ def predict_with_file(folder: Path, data: Dataset, judged: Judged | None = None)
 
 
 def predict_with(model: Model, data: Dataset, judged: Judged | None = None) -> Predictions:
-    """Predict held-out data with a model; whatever is no dwell counts as a trajectory."""
+    """Predict the held-out data with a model; moves count as trajectories."""
     held, moved = (
         _within_limit(data.of_kind("dwell")),
         _within_limit(data.of_kind("trajectory", "move")),
@@ -203,11 +211,13 @@ def predict_with(model: Model, data: Dataset, judged: Judged | None = None) -> P
 
 
 MOST_ROWS = 60_000
-"""More rows than this are not predicted for a plot; whole series are left out."""
+"""Maximum number of rows that are predicted for plots; if there are more, whole series are
+omitted.
+"""
 
 
 def _within_limit(data: Dataset) -> Dataset:
-    """Whole series, evenly spread over the dataset, of together at most `MOST_ROWS` rows."""
+    """Return whole series, selected evenly, with a total of at most about `MOST_ROWS` rows."""
     lengths = np.diff(data.offsets)
     usable = [i for i, length in enumerate(lengths) if length > 0]
     total = int(lengths.sum())
@@ -229,7 +239,7 @@ def _dwells(data: Dataset, prediction: Prediction) -> DwellPredictions:
 
 
 def _of_conditions(data: Dataset, name: str) -> IntArray:
-    """(D,) a number of each series."""
+    """Return the (D,) values of an integer attribute in the conditions of each series."""
     return np.array([getattr(each, name) for each in data.conditions], dtype=np.int64)
 
 
@@ -254,7 +264,10 @@ def _motions(data: Dataset, prediction: Prediction, qd: FloatArray) -> MotionPre
 
 
 def _relative_error(measured: FloatArray, predicted: FloatArray, all_measured: FloatArray) -> float:
-    """Return the RMSE relative to the deviation of each joint over valid samples; −1 if none."""
+    """Return the RMSE of all joints, relative to the standard deviation of each joint.
+
+    The relative RMSE is −1 if no sample is valid.
+    """
     good = np.isfinite(predicted)
     if not good.any():
         return -1.0
@@ -264,7 +277,11 @@ def _relative_error(measured: FloatArray, predicted: FloatArray, all_measured: F
 
 
 def _velocity(model: Model, data: Dataset) -> FloatArray:
-    """(N, n) as recorded, else what the model saw; NaN for series without either [rad/s]."""
+    """Return (N, n) velocities [rad/s].
+
+    The recorded velocities are preferred, then the filtered velocities used by the model, then the
+    derivative of the position. The velocity is NaN for a series without velocities.
+    """
     if "qd" in data.columns:
         return data["qd"]
     if is_prepared(data):
@@ -280,21 +297,25 @@ def _velocity(model: Model, data: Dataset) -> FloatArray:
 
 
 FRICTION, RESIDUAL = "friction", "residual"
-"""Components of a prediction that count as friction. The residual network's output is included
-because it mostly corrects friction; subtracting it would hide that."""
+"""Names of the prediction components that are part of the friction.
+
+The output of a residual network is part of the friction, because the network mainly corrects the
+friction.
+"""
 
 
 def _scale_of(model: Model) -> tuple[FloatArray, str]:
-    """What turns efforts of a model into its friction's unit, (n,) or (1,), and that unit."""
+    """Return the (n,) or (1,) factor from effort to the unit of friction, and this unit."""
     if isinstance(model, RobotEstimator) and model.knows_gains:
         return model.torque_scale_, "N·m"
     return np.ones(1), "A"
 
 
 def _at_rest(model: Model, data: Dataset, prediction: Prediction) -> FrictionAtRest | None:
-    """Friction of dwells; None when no approach is known, or the target was among the inputs.
+    """Return the measured and the predicted friction of dwells.
 
-    None, too, where the model is valid nowhere.
+    None is returned if no approach direction is known, if the model uses the target as an input, or
+    if no row is valid.
     """
     approach = _of_conditions(data, "approach")
     if not approach.any() or getattr(model, "protocol", HONEST) != HONEST:
@@ -315,7 +336,7 @@ def _at_rest(model: Model, data: Dataset, prediction: Prediction) -> FrictionAtR
 
 
 def _model_friction(prediction: Prediction) -> FloatArray:
-    """(N, n) what may be friction, in the unit of the effort; 0 where the model has none."""
+    """Return the (N, n) friction in the prediction, in effort units; 0 without friction."""
     parts = [
         prediction.components[name]
         for name in (FRICTION, RESIDUAL)
@@ -326,7 +347,7 @@ def _model_friction(prediction: Prediction) -> FloatArray:
 
 
 def _means(data: Dataset, values: FloatArray, valid: BoolArray) -> FloatArray:
-    """(D, n) mean of values (N, n) over the valid rows of each dwell; NaN without any."""
+    """Return the (D, n) mean over the valid rows of each dwell; NaN without valid rows."""
     share = series_means(data, valid.astype(np.float64))
     sums = series_means(data, np.where(valid, values, 0.0))
     return np.divide(sums, share, out=np.full_like(sums, np.nan), where=share > 0)
@@ -335,7 +356,10 @@ def _means(data: Dataset, values: FloatArray, valid: BoolArray) -> FloatArray:
 def _in_motion(
     model: Model, data: Dataset, prediction: Prediction, qd: FloatArray
 ) -> FrictionInMotion | None:
-    """Friction along trajectories; None when the model has none, or is for arms at rest."""
+    """Return the measured and the predicted friction along trajectories.
+
+    None is returned if the model predicts no friction or uses the target as an input.
+    """
     friction = prediction.components.get(FRICTION)
     if friction is None or getattr(model, "protocol", HONEST) != HONEST:
         return None
@@ -353,11 +377,14 @@ def _in_motion(
 
 
 NEAR_ZERO = 0.05
-"""Up to this speed [rad/s] curves are drawn finely: friction turns there."""
+"""Speed [rad/s] below which friction curves are sampled finely, around the velocity reversal."""
 
 
 def _law(model: Model, qd: FloatArray) -> tuple[FloatArray, FrictionCurve] | tuple[None, None]:
-    """Return velocities (M, n) over those of the data, and the model's friction at them."""
+    """Return velocities (M, n) in the range of the data, and the friction curve of the model.
+
+    Velocities and curve are None if the model has no friction curve.
+    """
     if not isinstance(model, HasFrictionCurve):
         return None, None
     good = np.isfinite(qd)

@@ -1,9 +1,9 @@
-"""What a run says about itself in its small files: documents, plan, events, models, studies.
+"""Facts about a run from its small files: documents, plan, events, models and studies.
 
-`read_facts` gathers them once for page, terminal and dashboard. Reading is lenient (`documents`):
-files that cannot be used become `RunFacts.problems`. Of a run without stop document, samples and
-steps are counted by its recordings (`_recorded_by`). Samples are read by `run_recording`, models
-by `fit_facts`.
+The function `read_facts` reads these small files once for page, terminal and dashboard. Invalid
+files do not raise an error; they are listed in `RunFacts.problems` (see `documents`). For a run
+without a stop document, samples and steps are counted from its recordings (`_recorded_by`). The
+module `run_recording` reads the samples of a run, and `fit_facts` reads its models.
 """
 
 from __future__ import annotations
@@ -45,11 +45,12 @@ from hil.studies import StudyResult, problem_files, read_study, study_files
 
 @dataclass(frozen=True, slots=True)
 class StudyFacts:
-    """The studies of a run.
+    """Studies of a run.
 
     Attributes:
-        made: What they found, in order of folder name.
-        failed: Why studies have no result, or only an older one: `study`, `error`, `hint`.
+        made: Study results in the order of the folder names.
+        failed: Problem documents of studies without a current result, with the keys `study`,
+            `error` and `hint`.
     """
 
     made: tuple[StudyResult, ...] = ()
@@ -57,15 +58,15 @@ class StudyFacts:
 
     @property
     def known(self) -> frozenset[str]:
-        """The studies that were made or tried."""
+        """Names of the studies that have a result or failed."""
         tried = (str(problem.get("study")) for problem in self.failed)
         return frozenset({*(result.study for result in self.made), *tried})
 
     @property
     def warnings(self) -> list[str]:
-        """What is missing and why, then what the studies themselves left out."""
+        """Warnings about failed studies, followed by the warnings in the study results."""
         missing = [
-            f"The study {problem.get('study')} could not be made: "
+            f"The study {problem.get('study')} failed: "
             + " → ".join(filter(None, (str(problem.get(key) or "") for key in ("error", "hint"))))
             for problem in self.failed
         ]
@@ -78,22 +79,25 @@ PLURALS = {"trajectory": "trajectories", "weigh": "weighings"}
 
 @dataclass(frozen=True, slots=True)
 class RunFacts:
-    """The small files of a run.
+    """Content of the small files of a run.
 
     Attributes:
-        path: The run directory.
-        status: `completed`, `stopped`, `tripped`, `failed`, `interrupted`, `running` or
-            `damaged`.
-        start, stop, plan, preflight, verdict: The documents; empty where absent or damaged. A
-            resumed run has the stop document of its last attempt.
-        recorded: What the stop document counts; where there is none, counted by the data.
-        whole: Whether start document and plan can be used: nothing goes on without them.
-        spec_source: The parsed file of the spec; without data where absent or damaged.
-        steps: The plan's steps in JSON form.
-        events: As logged.
-        fits: In order of folder name.
-        studies: What the studies found.
-        problems: Files that are there but cannot be used.
+        path: Path of the run directory.
+        status: Status of the run: `completed`, `stopped`, `tripped`, `failed`, `interrupted`,
+            `running` or `damaged`.
+        start, stop, plan, preflight, verdict: Contents of the JSON documents of the run; empty if
+            missing or damaged. The document `stop` is the stop document of the last attempt of the
+            run.
+        recorded: Counts of samples and steps, from the stop document or, if there is none, from the
+            recordings.
+        whole: Whether the start document and the plan are valid; otherwise, the run cannot be
+            resumed.
+        spec_source: Parsed spec file; without data if the file is missing or damaged.
+        steps: Steps of the plan in JSON form.
+        events: Logged events.
+        fits: Summaries of the models in the order of the folder names.
+        studies: Results and failures of the studies of the run.
+        problems: Messages about files that exist but are invalid.
     """
 
     path: Path
@@ -114,48 +118,48 @@ class RunFacts:
 
     @property
     def spec(self) -> Document:
-        """The spec as plain YAML; empty where absent or damaged."""
+        """Spec of the run as plain YAML data; empty if missing or damaged."""
         return as_object(self.spec_source.data)
 
     @property
     def name(self) -> str:
-        """The experiment's name."""
+        """Name of the experiment."""
         return str(self.plan.get("name") or self.spec.get("name") or self.path.name)
 
     @property
     def run_name(self) -> str:
-        """Of the run directory: `hil` finds a run by it, wherever the page was sent to."""
+        """Name of the run directory, by which hil finds the run from any copy of its page."""
         return self.path.resolve().name
 
     @property
     def robot(self) -> Document:
-        """What `start.json` says about the robot."""
+        """Section about the robot in `start.json`."""
         return as_object(self.start.get("robot"))
 
     @property
     def robot_title(self) -> str:
-        """Model and serial number."""
+        """Model and serial number of the robot as one text."""
         identity = as_object(self.robot.get("identity"))
         return " ".join(str(identity[k]) for k in ("model", "serial") if identity.get(k))
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """From the plan or the robot; empty when neither says."""
+        """Joint names from the plan or from the robot; empty if unknown."""
         return as_names(self.plan.get("joint_names") or self.robot.get("joint_names"))
 
     @property
     def effort_unit(self) -> str:
-        """`A` or `N·m`, from what the robot says it measures."""
+        """Unit of effort, `A` or `N·m`, according to the measured quantity of the robot."""
         return "N·m" if self.robot.get("effort_kind") == "torque" else "A"
 
     @property
     def rate_hz(self) -> float:
-        """Nominal sample rate [Hz]; NaN when the run does not say."""
+        """Nominal sample rate [Hz]; NaN if unknown."""
         return as_float(self.robot.get("rate_hz") or self.plan.get("rate_hz"))
 
     @property
     def steps_done(self) -> int:
-        """How far the program came: the stop document's count, or the last step logged."""
+        """Number of completed steps: from the stop document, or the last logged step."""
         if isinstance(self.stop.get("steps_done"), int):
             return int(self.stop["steps_done"])
         logged = [e["step"] for e in self.events if isinstance(e.get("step"), int)]
@@ -163,7 +167,7 @@ class RunFacts:
 
     @property
     def measured(self) -> str:
-        """By the data, such as `6 of 24 dwells, 2 of 6 references`; empty when nobody counted."""
+        """Text about the completed measurements, such as `6 of 24 dwells`; empty if unknown."""
         counts = as_object(self.recorded.get("complete")).items()
         return ", ".join(
             f"{as_object(n).get('done')} of {as_object(n).get('of')} "
@@ -173,7 +177,10 @@ class RunFacts:
 
     @property
     def ended_in(self) -> str:
-        """Where a run was when it ended early: `preflight`, or `step 28, dwell at pose 5`."""
+        """Phase or step in which a run ended early, such as `step 28, dwell at pose 5`.
+
+        The text is empty if the run was completed.
+        """
         at, states = self.steps_done, [e.get("state") for e in self.events_of("state")]
         if self.status != "completed" and states and "running" not in states:
             return "preflight, before anything moved"
@@ -187,26 +194,30 @@ class RunFacts:
 
     @property
     def unsettled_steps(self) -> frozenset[int]:
-        """Steps whose dwell ran into its time-out."""
+        """Indices of the steps whose dwell reached its time-out before the arm settled."""
         logged = [e.get("step") for e in self.events_of("dwell") if e.get("settled") is False]
         missed = self.stop.get("unsettled", logged)
         return frozenset(step for step in missed if isinstance(step, int))
 
     @property
     def unsettled(self) -> tuple[int, ...]:
-        """Poses at which that happened, as often as it happened."""
+        """Pose numbers of the unsettled dwells; a pose occurs one time for each unsettled dwell."""
         steps = self.steps
         known = sorted(i for i in self.unsettled_steps if 0 <= i < len(steps))
         return tuple(as_index(steps[i].get("pose")) for i in known)
 
     @property
     def judged_fits(self) -> tuple[FitFacts, ...]:
-        """The fits with held-out errors, best first."""
+        """Fits with held-out errors, ordered from best to worst."""
         return best_first(self.fits)
 
     @property
     def listed_fits(self) -> tuple[FitFacts, ...]:
-        """The same in the order of the spec, the one order of a page; others come last."""
+        """Fits with held-out errors in the order of the spec; fits outside the spec come last.
+
+        All lists of models in a page use the order of this property. Fits that do not follow the
+        honest protocol come last.
+        """
         wanted = self.estimators_wanted
 
         def place(fit: FitFacts) -> tuple[bool, int]:
@@ -217,35 +228,38 @@ class RunFacts:
 
     @property
     def estimators_wanted(self) -> tuple[str, ...]:
-        """What the spec asks to be fitted."""
+        """Names of the estimators that the spec requests."""
         return tuple(str(fit.get("estimator")) for fit in as_objects(self.spec.get("fit")))
 
     @property
     def is_dwell_program(self) -> bool:
-        """Whether the spec asks for static poses, not for trajectories."""
+        """Whether the spec requests static poses instead of trajectories."""
         return as_object(self.spec.get("excitation")).get("kind") == "dwell"
 
     @property
     def studies_missing(self) -> tuple[str, ...]:
-        """What the spec asks to be studied, and was never tried."""
+        """Names of the studies that the spec requests and that were never started."""
         wanted = [str(entry.get("study")) for entry in as_objects(self.spec.get("study"))]
         return tuple(name for name in wanted if name not in self.studies.known)
 
     @property
     def commissioning(self) -> str:
-        """Which part of the program was to be run, and how fast, in words; empty for all of it."""
+        """Text on part of the program and speed of a commissioning run; empty for other runs."""
         return str(as_object(self.start.get("commissioning")).get("text") or "")
 
     def events_of(self, kind: str) -> list[Document]:
-        """The events of one kind."""
+        """Return the events of one kind in the order of the log."""
         return [event for event in self.events if event.get("kind") == kind]
 
     def indices(self, *kinds: str) -> list[int]:
-        """Indices of the plan's steps of these kinds."""
+        """Return the indices of the plan steps of certain kinds."""
         return [i for i, step in enumerate(self.steps) if step.get("kind") in kinds]
 
     def interlock_limit(self, kind: str, key: str) -> float:
-        """The strictest limit of an interlock that watched, defaults included; NaN for none."""
+        """Return the strictest limit of all enabled interlocks of a kind, defaults included.
+
+        NaN is returned if no interlock of this kind is enabled.
+        """
         try:
             watching = load_spec(deepcopy(self.spec_source), look_up=False).interlocks
         except HilError:
@@ -260,19 +274,20 @@ class RunFacts:
 
 
 UNENDED = ("interrupted", "running")
-"""Status of a run whose last attempt has no stop document."""
+"""Possible statuses of a run whose last attempt has no stop document."""
 
 
 def read_facts(path: Path) -> RunFacts:
     """Read the small files of a run directory.
 
     Raises:
-        DataError: `path` is not a run directory, or was written by a newer hil.
+        DataError: The path is not a run directory, or the run was written by a newer version of
+            hil.
     """
     if not (path / "start.json").is_file() and not (path / "plan.json").is_file():
         raise DataError(
             f"{path} is not a run directory: it has neither start.json nor plan.json",
-            hint="hil runs lists the runs there are",
+            hint="list the runs: hil runs",
         )
     problems: list[str] = []
     start = document(path / "start.json", problems)
@@ -323,11 +338,13 @@ def _events(run: RunDirectory, problems: list[str]) -> list[Document]:
 
 
 UNDER_LOADS = ("load_error_ratio", "contradicted_loads")
-"""Criteria about loads, judged on all models at once."""
+"""Metrics of the acceptance criteria about payloads, which are evaluated for all models
+together.
+"""
 
 
 def _with_load_criteria(fits: Sequence[FitFacts], verdict: Document) -> tuple[FitFacts, ...]:
-    """Models with what the verdict of their run says of them under loads."""
+    """Return the models, supplemented by the verdict rows about payloads."""
     rows = [row for row in as_objects(verdict.get("rows")) if row.get("metric") in UNDER_LOADS]
     return tuple(
         replace(fit, under_loads=[row for row in rows if row.get("estimator") == fit.name])
@@ -336,7 +353,7 @@ def _with_load_criteria(fits: Sequence[FitFacts], verdict: Document) -> tuple[Fi
 
 
 def read_studies(run: Path, problems: list[str]) -> StudyFacts:
-    """The studies of a run; files that cannot be used are named in `problems`."""
+    """Return the study results of a run; messages about invalid files are added to `problems`."""
     made = []
     for path in study_files(run):
         try:
@@ -348,9 +365,9 @@ def read_studies(run: Path, problems: list[str]) -> StudyFacts:
 
 
 def _plan_of(path: Path, problems: list[str]) -> tuple[Document, Plan | None]:
-    """The plan as JSON, and as a `Plan`; None for one that cannot be executed.
+    """Return the plan as JSON and as a `Plan`, which is None if the plan cannot be executed.
 
-    What was found in a passive recording is shown like a plan, and is none.
+    The motions that were detected in a passive recording are returned as JSON only.
     """
     if not path.exists():
         return document(path.with_name(PASSIVE_PLAN_FILE), problems), None
@@ -364,21 +381,25 @@ def _plan_of(path: Path, problems: list[str]) -> tuple[Document, Plan | None]:
 
 
 def _is_known(path: Path, start: Document, problems: list[str]) -> bool:
-    """Whether the start document is one; a damaged one is a problem already."""
+    """Return whether the start document has a known format; if not, add a problem.
+
+    A damaged start document has already been added to the problems.
+    """
     if "hil_run" in start:
         return True
     if path.exists() and not any(str(path) in problem for problem in problems):
-        problems.append(f"{path} does not say which format it has (hil_run)")
+        problems.append(f"{path} lacks its format version (hil_run)")
     return False
 
 
 def torn(run: RunDirectory) -> list[str]:
-    """Finished recordings that have lost their end or their beginning, in words."""
+    """Return messages about finished recordings whose end or beginning is lost."""
     return [
-        f"{path.name} is torn although it was finished: hil recover {run.path} makes a whole file "
-        "of what is left"
+        f"{path.name} was finished but is truncated: hil recover {run.path} writes a complete file "
+        "from the remaining samples"
         if has_its_beginning(path)
-        else f"{path.name} is no MCAP file any more, its beginning is lost: {hint_of_lost(path)}"
+        else f"the beginning of {path.name} is lost, so that it is not an MCAP file any more: "
+        f"{hint_of_lost(path)}"
         for path in torn_although_finished(run.recordings)
     ]
 
@@ -387,12 +408,12 @@ _ADDED = ("samples", "gaps", "missing", "duplicates")
 
 
 def _recorded_by(run: RunDirectory, plan: Plan | None, rate_hz: float) -> Document:
-    """The counts of a stop document, taken from the recordings; empty when none can be read.
+    """Return the counts of a stop document, determined from the recordings; empty if unreadable.
 
     Args:
-        run: Without stop document of its last attempt.
-        plan: What was to be measured; None when nobody can say.
-        rate_hz: Nominal rate of the samples [Hz].
+        run: Run directory without a stop document of the last attempt.
+        plan: Plan of the run; None if the plan is unknown.
+        rate_hz: Nominal sample rate [Hz].
     """
     total = dict.fromkeys(_ADDED, 0)
     attempts: dict[int, Counts] = {}

@@ -1,4 +1,4 @@
-"""The figures of a run: its motion, and its recording."""
+"""Figures of a run: figures of its motion and figures of its recording."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from hil.studies import Curve, Figure, Grid, Look, Mark, Panel
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunView:
-    """What the figures of a run are drawn from.
+    """Data for the figures of a run.
 
     Attributes:
-        facts: Small files of the run.
-        recording: Its samples.
-        drift: Effort at the reference pose; None unless a visit was repeated.
-        names: Joint names, length n.
-        held_out: The series each model was judged on, to mark their poses.
+        facts: Contents of the small files of the run.
+        recording: Samples of all attempts of the run.
+        drift: Change of effort at the reference pose; None if no visit of this pose was repeated.
+        names: Joint names, n in total.
+        held_out: Series on which each model was evaluated; their poses are marked in the pose map.
     """
 
     facts: RunFacts
@@ -44,12 +44,12 @@ class RunView:
 # --- The motion of a run -------------------------------------------------------------------------
 
 COVERAGE_ROWS = 60_000
-"""The coverage is counted on at most so many rows, evenly spread over the recording."""
+"""Maximum number of rows in the coverage figure, evenly spread over the recording."""
 
 
 @figure("excitation")
 def joint_angles(view: RunView) -> Figure:
-    """Where every joint was over time."""
+    """Return the figure of the joint angles over time."""
     q: FloatArray = view.recording.rows["q"] * DEGREES
     panels = tuple(
         Panel(
@@ -67,7 +67,11 @@ def joint_angles(view: RunView) -> Figure:
 
 @figure("excitation")
 def pose_map(view: RunView) -> Figure | None:
-    """The poses of a dwell program along pairs of joints: trained on, held out, not settled."""
+    """Return the figure of the poses of a dwell program, for pairs of joints.
+
+    The figure distinguishes poses for training, held-out poses, and poses whose dwell did not
+    settle.
+    """
     poses, where = _dwell_poses(view.facts, view.recording)
     names = view.names
     if not len(poses) or len(names) < 2:
@@ -93,15 +97,15 @@ def pose_map(view: RunView) -> Figure | None:
         titles = (f"J{a + 1} and J{b + 1}", f"J{a + 1} position [°]", f"J{b + 1} position [°]")
         return Panel(*titles, curves, alt=alt)
 
-    # Of an odd number of joints, the last is drawn with the one before.
+    # With an odd number of joints, the last joint is paired with the one before it.
     firsts = (min(j, len(names) - 2) for j in range(0, len(names), 2))
     panels = tuple(panel(j, j + 1) for j in firsts)
-    lead = f"The {len(poses)} poses the arm stood still at."
+    lead = f"The {len(poses)} poses of the dwells."
     return Figure("pose-map", "Pose map", lead, panels, 0)
 
 
 def _dwell_poses(facts: RunFacts, recording: Recording) -> tuple[IntArray, FloatArray]:
-    """Pose numbers (P,) and where the arm stood at them (P, n) [rad], each pose once."""
+    """Return pose numbers (P,) and joint angles (P, n) [rad] of the dwells, one row per pose."""
     poses, where = [], []
     segment = recording.rows["segment"].astype(np.int64)
     for _, last in intervals(segment, np.array(facts.indices("dwell"), dtype=np.int64)):
@@ -115,7 +119,7 @@ def _dwell_poses(facts: RunFacts, recording: Recording) -> tuple[IntArray, Float
 
 @figure("excitation")
 def position_velocity_coverage(view: RunView) -> Figure:
-    """How often each joint was at which position with which velocity."""
+    """Return the figure of the number of samples per position and velocity of each joint."""
     rows = view.recording.rows
     on_trajectories = _rows_of_steps(rows, view.facts.indices("trajectory"))
     chosen = on_trajectories if len(on_trajectories) else rows
@@ -133,12 +137,12 @@ def position_velocity_coverage(view: RunView) -> Figure:
         for j, name in enumerate(view.names)
     )
     when = "on the trajectories" if len(on_trajectories) else "in the whole run"
-    lead = f"How often each position and velocity occurred {when}: the stronger, the more often."
+    lead = f"Number of samples per position and velocity {when}; darker cells have more samples."
     return Figure("coverage", "Position and velocity coverage", lead, panels, 0)
 
 
 def _rows_of_steps(rows: StructArray, steps: Sequence[int]) -> StructArray:
-    """The rows recorded while one of these plan steps was executing."""
+    """Return the recorded rows whose plan step is in a list of steps."""
     selected = np.zeros(max(steps, default=-1) + 2, np.bool_)
     selected[list(steps)] = True
     segment = np.clip(rows["segment"], -1, len(selected) - 1)
@@ -147,11 +151,11 @@ def _rows_of_steps(rows: StructArray, steps: Sequence[int]) -> StructArray:
 
 
 CELLS = 48
-"""Of a grid, along each axis."""
+"""Number of cells of a grid along each axis."""
 
 
 def counted_grid(x: FloatArray, y: FloatArray) -> Grid:
-    """Count finite (x, y), each (N,), in cells; empty ones are NaN."""
+    """Count the finite points (x, y), each (N,), in every cell; empty cells are NaN."""
     good = np.isfinite(x) & np.isfinite(y)
     x, y = x[good], y[good]
     (x_low, x_high), (y_low, y_high) = span(x), span(y)
@@ -169,12 +173,12 @@ def counted_grid(x: FloatArray, y: FloatArray) -> Grid:
 # --- The recording of a run ----------------------------------------------------------------------
 
 NEAR_LIMIT = 0.6
-"""Values above this share of a limit are shown together with it."""
+"""Share of a limit: if values exceed this share of the limit, the limit is also drawn."""
 
 
 @figure("recording")
 def over_time(view: RunView) -> Figure:
-    """What changes over the run, under one legend: tracking error, heat, drift, clock."""
+    """Return the figure of following error, temperature, drift and sample interval over time."""
     recording, panels = view.recording, list[Panel]()
     error = 1e3 * np.abs(recording.tracking_error())
     if np.isfinite(error).any():
@@ -193,7 +197,7 @@ def _of_all_joints(
 ) -> Panel:
     t, peak = view.recording.t, _peak(values)
     curves = joint_curves(t, values, view.names, shown=shown, begins=view.recording.attempt_starts)
-    # A limit far above the data would flatten it; then it is only in the title.
+    # A limit far above the data would compress the curves; the title then states it instead.
     if peak > NEAR_LIMIT * limit:
         curves.append(limit_line(t[[0, -1]], limit))
     return Panel(
@@ -208,7 +212,7 @@ def _of_all_joints(
 
 
 def _drift(view: RunView) -> list[Panel]:
-    """One panel for each side the reference pose was approached from."""
+    """Return the drift panels, one panel per approach direction of the reference pose."""
     if view.drift is None:
         return []
     unit, panels = view.facts.effort_unit, []
@@ -228,8 +232,8 @@ def _drift(view: RunView) -> list[Panel]:
 
 def _interval(recording: Recording) -> Panel:
     steps = np.append(np.nan, 1e3 * np.diff(recording.t))
-    steps[list(recording.attempt_starts)] = np.nan  # a pause between attempts is no interval
-    title = "Time between samples by the robot's clock"
+    steps[list(recording.attempt_starts)] = np.nan  # a pause between attempts is not an interval
+    title = "Sample interval by the clock of the robot"
     return Panel(
         title,
         "time [s]",
@@ -250,15 +254,16 @@ def joint_curves(
     shown: Summary = "extremes",
     begins: Sequence[int] = (),
 ) -> list[Curve]:
-    """All joints (N, n) over time (N,), lines differing in colour and dash.
+    """Return curves of all joints (N, n) over time (N,), with different colours and dash patterns.
 
     Args:
         t: Time [s].
-        values: One column per joint; a joint that is NaN throughout is left out.
+        values: Values with one column per joint; a joint with only NaN is omitted.
         names: Joint names.
-        marked: Also draw the points (for few of them).
-        shown: What is kept of many samples, see `curves.summarised`.
-        begins: Rows at which the attempts after the first begin; the lines are broken there.
+        marked: Whether to draw markers at the points, which is suitable for few points.
+        shown: Kind of reduction of many samples, as in `curves.summarised`.
+        begins: First row of each attempt except the first attempt; lines are interrupted at these
+            rows.
     """
     curves = []
     for j, name in enumerate(names):
@@ -270,19 +275,19 @@ def joint_curves(
 
 
 def limit_line(ends: FloatArray, value: float) -> Curve:
-    """A horizontal line at a limit."""
+    """Return a curve that draws a limit as a horizontal line."""
     look = Look(colours.NEUTRAL, "dot", width=2.5)
     return Curve("limit", ends, np.full(2, value), look=look)
 
 
 def _broken_line(recording: Recording, values: FloatArray, j: int = 0) -> Curve:
-    """One signal (N,) over time, broken where attempts begin."""
+    """Return the curve of one signal (N,) over time, interrupted between attempts."""
     x, y = in_parts(decimated, recording.t, values, recording.attempt_starts)
     return Curve("", x, y, look=Look(colours.of_joint(j).colour, width=1.0))
 
 
 def _attempts(recording: Recording) -> tuple[Mark, ...]:
-    """Where the attempts after the first begin."""
+    """Return marks at the start of each attempt except the first attempt."""
     times = recording.t[list(recording.attempt_starts)]
     return tuple(Mark(float(t), f"attempt {i}") for i, t in enumerate(times, 2))
 

@@ -1,8 +1,9 @@
-"""The samples of a run: all attempts on one time axis, and what is computed from their rows.
+"""Samples of a run: all attempts on one time axis, and values that are computed from the samples.
 
-`read_recording` reads every attempt once, torn files as far as they go. Drift at the reference
-pose is computed from these rows (`drift_of`), and `dataset_of` makes a dataset of the same rows.
-Reading them again by `hil.importers.load_source` would take longer than the rest of the report.
+The function `read_recording` reads every attempt once; a torn file is read up to its damage. The
+function `drift_of` computes the drift at the reference pose from the samples, and `dataset_of`
+creates a dataset. If `hil.importers.load_source` read the recordings a second time, the reading
+would take longer than the rest of the report.
 """
 
 from __future__ import annotations
@@ -31,15 +32,16 @@ from hil.report.run_facts import RunFacts
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """All samples of a run, attempts behind each other.
+    """All samples of a run, with its attempts in order.
 
     Attributes:
-        attempts: Records of `state_dtype(n)`, one array per attempt that has any.
-        numbers: Number of each of these attempts.
-        rows: All of them in one array.
-        t: (N,) seconds since the first sample of the run.
-        counts: Samples, gaps, missing, duplicates and overruns, all attempts together.
-        rate_hz: Nominal rate; NaN when the run does not say.
+        attempts: Arrays of records of `state_dtype(n)`, one array per non-empty attempt.
+        numbers: Attempt numbers of the arrays in `attempts`.
+        rows: Records of all attempts joined in one array.
+        t: (N,) time since the first sample of the run [s].
+        counts: Numbers of samples, gaps, missing samples, duplicates and overruns, summed over all
+            attempts.
+        rate_hz: Nominal sample rate [Hz]; NaN if unknown.
     """
 
     attempts: tuple[StructArray, ...]
@@ -51,13 +53,13 @@ class Recording:
 
     @property
     def attempt_starts(self) -> tuple[int, ...]:
-        """First row of each attempt after the first."""
+        """Row numbers at which an attempt starts, except the first attempt."""
         ends = np.cumsum([len(rows) for rows in self.attempts])
         return tuple(int(end) for end in ends[:-1])
 
     @property
     def recorded_s(self) -> float:
-        """Device time from the first to the last sample of every attempt, added up [s]."""
+        """Device time from the first to the last sample, summed over all attempts [s]."""
         times = (
             self.t[first:last] for first, last in pairwise((0, *self.attempt_starts, len(self.t)))
         )
@@ -65,30 +67,32 @@ class Recording:
 
     @property
     def measured_rate_hz(self) -> float:
-        """Samples per second where the recording has no gap; NaN when it is too short."""
+        """Sample rate outside of gaps [Hz]; NaN if the recording is too short."""
         steps = np.diff(self.t)
         steps = steps[(steps > 0) & (steps < 1.5 * np.median(steps))] if len(steps) else steps
         return float(1.0 / steps.mean()) if len(steps) else float("nan")
 
     @property
     def gaps_percent(self) -> float:
-        """Missing samples as a share of those there should be [%]."""
+        """Missing samples as a share of the expected number of samples [%]."""
         expected = self.counts.samples + self.counts.missing
         return 100.0 * self.counts.missing / expected if expected else float("nan")
 
     def tracking_error(self) -> FloatArray:
-        """(N, n) position q minus commanded position q_target [rad]; NaN without a command.
+        """Return (N, n) tracking errors: position q minus commanded position q_target [rad].
 
-        The sign is the opposite of the usual e = q_d − q of control.
+        The tracking errors are NaN without a command. The sign is opposite to the usual following
+        error e = q_d − q in control engineering.
         """
         error: FloatArray = self.rows["q"] - self.rows["q_target"]
         return error
 
 
 def read_recording(facts: RunFacts, problems: list[str]) -> Recording | None:
-    """Return the samples of a run; None if nothing is left.
+    """Return the samples of a run; None if the run has no samples.
 
-    Torn files are read as far as they go; they and unreadable ones are added to `problems`.
+    A torn file is read up to its damage. Messages about torn and unreadable files are added to the
+    list `problems`.
     """
     attempts = dict(_attempts_of(RunDirectory(facts.path).recordings, problems))
     if not attempts:
@@ -100,7 +104,7 @@ def read_recording(facts: RunFacts, problems: list[str]) -> Recording | None:
 
 
 def _attempts_of(paths: Sequence[Path], problems: list[str]) -> Iterator[tuple[int, StructArray]]:
-    """Yield number and samples of every attempt that has any, the parts of a long one joined."""
+    """Yield number and samples of every non-empty attempt, with the files of an attempt joined."""
     for number, files in groupby(paths, attempt_of):
         parts = [rows for file in files if (rows := _samples_of(file, problems)) is not None]
         if kept := [rows for rows in parts if len(rows)]:
@@ -109,9 +113,7 @@ def _attempts_of(paths: Sequence[Path], problems: list[str]) -> Iterator[tuple[i
 
 def _samples_of(path: Path, problems: list[str]) -> StructArray | None:
     if path.name.endswith(PARTIAL_SUFFIX):
-        problems.append(
-            f"{path.name} was never finished: it is read as far as it was written to the disk"
-        )
+        problems.append(f"{path.name} was not finished: only the part written to the disk is read")
     try:
         return read_topic(path, salvage=True)
     except DataError as error:
@@ -120,7 +122,11 @@ def _samples_of(path: Path, problems: list[str]) -> StructArray | None:
 
 
 def _times(blocks: Sequence[StructArray]) -> FloatArray:
-    """Device times on one axis; an attempt whose clock started afresh follows the one before."""
+    """Return the device times of all attempts on one time axis.
+
+    If the device clock was reset between two attempts, the later attempt directly follows the
+    earlier one.
+    """
     out: list[FloatArray] = []
     end = 0.0
     shift = -float(blocks[0]["device_time"][0])
@@ -135,7 +141,7 @@ def _times(blocks: Sequence[StructArray]) -> FloatArray:
 
 
 def _count(blocks: Sequence[StructArray], rate_hz: float) -> Counts:
-    """Counts of each attempt added up: the pause between two of them is no gap."""
+    """Return the counts summed over the attempts; pauses between attempts do not count as gaps."""
     parts = [Counts().after(block, rate_hz) for block in blocks]
     names = ("samples", "gaps", "missing", "duplicates", "overruns")
     total = {name: sum(getattr(part, name) for part in parts) for name in names}
@@ -149,7 +155,7 @@ def _count(blocks: Sequence[StructArray], rate_hz: float) -> Counts:
 
 
 def intervals(segment: IntArray, steps: IntArray) -> list[tuple[int, int]]:
-    """Row ranges in which `segment` stays at one of `steps`."""
+    """Return the row ranges in which `segment` is constant and equal to one of `steps`."""
     edges = np.flatnonzero(np.diff(segment)) + 1
     starts = np.concatenate(([0], edges))
     stops = np.concatenate((edges, [len(segment)]))
@@ -159,13 +165,14 @@ def intervals(segment: IntArray, steps: IntArray) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceDrift:
-    """The effort at the reference pose, visit by visit.
+    """Change of effort at the reference pose between visits.
 
     Attributes:
         t: (V,) time of each visit [s].
-        change: (V, n) mean effort minus that of the first visit under the same load and from
-            the same side: friction at standstill has the sign of the approach.
-        approach: (V,) +1 from below, −1 from above, 0 otherwise.
+        change: (V, n) mean effort minus the mean effort of the first visit with the same payload
+            and approach direction. Only visits with the same direction are compared, because static
+            friction has the sign of the approach direction.
+        approach: (V,) approach direction: +1 from below, −1 from above, 0 for other visits.
     """
 
     t: FloatArray
@@ -174,11 +181,11 @@ class ReferenceDrift:
 
 
 REFERENCE_S = 0.08
-"""Time of a visit that is averaged [s]: its end, when the arm has settled."""
+"""Averaging time at the end of a visit [s], after the arm has settled."""
 
 
 def drift_of(facts: RunFacts, recording: Recording) -> ReferenceDrift | None:
-    """How the effort at the reference pose changed; None unless a visit was repeated."""
+    """Return the change of effort at the reference pose; None if no visit was repeated."""
     visits = np.array(facts.indices("reference"), dtype=np.int64)
     segment = recording.rows["segment"].astype(np.int64)
     stays = intervals(segment, visits)
@@ -206,16 +213,16 @@ JUDGED_KINDS: tuple[SeriesKind, ...] = ("dwell", "trajectory")
 
 
 def dataset_of(facts: RunFacts, recording: Recording) -> Dataset:
-    """Return the dwells and trajectories of a run.
+    """Return the dwells and trajectories of a run as a dataset.
 
     Raises:
-        DataError: There are none, or the run does not describe its robot.
+        DataError: There are no dwells and no trajectories, or the run does not describe its robot.
     """
     robot = facts.robot
     if not robot.get("model") or not facts.joint_names:
         raise DataError(
             f"{facts.path / 'start.json'} does not describe the robot",
-            hint="the run directory is damaged or was edited: take it from a copy",
+            hint="the run directory is damaged or was edited: restore it from a backup",
         )
     effort_kind = "torque" if robot.get("effort_kind") == "torque" else "current"
     described = {"joint_names": list(facts.joint_names), "effort_kind": effort_kind}

@@ -1,9 +1,10 @@
-"""The report of a run, or of models that were judged outside a run: one HTML file.
+"""Report of a run, or of models that were evaluated outside a run, as one HTML file.
 
-A report is a view: a pure function of the directory it is made from, replaced whenever it is made
-again, and read by nothing but people. Models come first, then the motion and the recording, then
-sections to look things up in: preflight, timeline, provenance. Of a run that ended early, what
-happened comes first.
+A report depends only on the files of the run directory and is replaced whenever it is created
+again. Other parts of hil do not read a report, except for the export of its figures. In the report,
+models come first, then motion and recording, then sections for reference: preflight, timeline,
+provenance. For a run that ended early, the timeline comes before the sections about motion and
+recording.
 """
 
 from __future__ import annotations
@@ -75,28 +76,29 @@ if TYPE_CHECKING:
 REPORT_FILE = "report.html"
 
 MOST_PLOTTED = 6
-"""Models beyond this many get their tables, but no plots: the page must stay light."""
+"""Maximum number of models with plots; further models have tables only, to limit the file size."""
 
 
 def render_report(run: Path, judged: Sequence[Judged] = ()) -> Path:
-    """Write `report.html` into a run directory, whatever state the run is in.
+    """Write `report.html` into a run directory; the run can have any status.
 
     Args:
-        run: The run directory.
-        judged: Models that were judged just now: what they predicted is not computed again.
+        run: Path of the run directory.
+        judged: Models that were just evaluated, whose predictions are reused.
 
     Returns:
-        The path of the page.
+        Path of the written page.
 
     Raises:
-        DataError: It is not a run directory, was written by a newer hil, its recordings were
-            deleted or its arm's description was changed; an existing page keeps its plots.
+        DataError: The path is not a run directory, the run was written by a newer version of hil,
+            its recordings were deleted, or the description of its arm was changed. If an error is
+            raised, an existing page stays unchanged with its plots.
     """
     page = Path(run) / REPORT_FILE
     if page.exists() and RunDirectory(Path(run)).pruned:
         raise DataError(
-            f"{run} lacks recordings that were deleted (pruned.json)",
-            hint=f"{page} was made when they were there, and stays",
+            f"the recordings of {run} were deleted (pruned.json)",
+            hint=f"{page} was written before their deletion and stays unchanged",
         )
     return write_page(run_page(Path(run), judged), page)
 
@@ -104,30 +106,28 @@ def render_report(run: Path, judged: Sequence[Judged] = ()) -> Path:
 def render_fit_report(
     fits: Path | Sequence[Path], held_out: Mapping[str, Dataset], out: Path
 ) -> Path:
-    """Write a page about models that were fitted or judged outside a run.
+    """Write a page about models that were fitted or evaluated outside a run.
 
     Args:
-        fits: Model folders (`model.json`, `evaluation.json`), one or several.
-        held_out: Source as `evaluation.json` names it → its samples, for the plots; models judged
-            on other sources get tables only.
-        out: The HTML file, replaced when it exists.
+        fits: Paths of one or more model folders (`model.json`, `evaluation.json`).
+        held_out: Samples for the plots, by source name in `evaluation.json`; a model that was
+            evaluated on a different source has tables only.
+        out: Path of the HTML file; an existing file is replaced.
 
     Returns:
-        The path of the page.
+        Path of the written page.
 
     Raises:
-        DataError: No folder holds an evaluation.
+        DataError: None of the folders contains an evaluation.
     """
     folders = [fits] if isinstance(fits, Path) else list(fits)
     return write_page(fit_page(folders, held_out), Path(out))
 
 
 def run_page(path: Path, judged: Sequence[Judged] = ()) -> Page:
-    """Return the page of a run, as blocks; for the arguments see `render_report`."""
+    """Return the page of a run; the arguments are those of `render_report`."""
     facts = read_facts(path)
-    require_same_arm(
-        robot_of_run(facts.start), path, otherwise="leave the page that is there", gone=True
-    )
+    require_same_arm(robot_of_run(facts.start), path, otherwise="keep the existing page", gone=True)
     problems: list[str] = []
     recording = read_recording(facts, problems)
     held_out = _held_out(facts, recording, problems)
@@ -153,20 +153,20 @@ def run_page(path: Path, judged: Sequence[Judged] = ()) -> Page:
 def _held_out(
     facts: RunFacts, recording: Recording | None, problems: list[str]
 ) -> dict[str, Dataset]:
-    """Label of each model → the series of the run it was judged on."""
+    """Return the series of the run on which each model was evaluated, by model label."""
     out: dict[str, Dataset] = {}
     if recording is None or not facts.judged_fits:
         return out
     try:
         data = dataset_of(facts, recording)
     except HilError as error:
-        problems.append(f"Plots of the models are left out: {error.message}")
+        problems.append(f"Plots of the models are omitted: {error.message}")
         return out
     for fit in facts.judged_fits:
         try:
             out[fit.label] = held_out_of(fit, data)
         except HilError as error:
-            problems.append(f"The plots of {fit.label} are left out: {error.message}")
+            problems.append(f"The plots of {fit.label} are omitted: {error.message}")
     return out
 
 
@@ -185,21 +185,21 @@ def _predictions_of(
             _require_same_joints(fit, data)
             out[fit.label] = predict_with_file(fit.folder, data, known.get(fit.folder.name))
         except HilError as error:
-            problems.append(f"The plots of {fit.label} are left out: {error.message}")
+            problems.append(f"The plots of {fit.label} are omitted: {error.message}")
     return out
 
 
 def _require_same_joints(fit: FitFacts, data: Dataset) -> None:
     if len(fit.joint_names) != len(data.joint_names):
         raise DataError(
-            f"its evaluation is of {len(fit.joint_names)} joints, the data have "
+            f"its evaluation has {len(fit.joint_names)} joints, the data have "
             f"{len(data.joint_names)}",
-            hint="the run directory was put together from several: take it from a copy",
+            hint="the run directory contains files of another run: restore it from a backup",
         )
 
 
 def _summary(facts: RunFacts) -> str:
-    """Return the result, what to do if it ended early, and the next command."""
+    """Return the result of the run, the hint after an early end, and the next command."""
     hint = str(facts.stop.get("hint") or "")
     return " ".join(
         filter(
@@ -227,7 +227,7 @@ def _run_sections(
     happened = [timeline(facts)]
     if checks := preflight(facts):
         happened.insert(0, checks)
-    # Of a run that ended early, the timeline comes first.
+    # For a run that ended early, the timeline comes first.
     early = facts.status in ENDINGS
     return [*(happened + sections if early else sections + happened), provenance(facts)]
 
@@ -240,15 +240,15 @@ def _joint_names(facts: RunFacts, recording: Recording) -> tuple[str, ...]:
 
 def _footer(path: Path) -> str:
     return (
-        f"Made by hil {version('hil')} from {path.resolve().name} and nothing else; "
-        "it can be made again at any time."
+        f"Generated by hil {version('hil')} from {path.resolve().name} only; it can be generated "
+        "again at any time."
     )
 
 
 def excitation(view: RunView) -> Section:
-    """Where the arm went, from the recorded positions."""
+    """Return the section about the recorded motion."""
     blocks: list[Block] = [_plan(view.facts), *figures_of("excitation", view)]
-    lead = "Where the arm went, from the recorded positions."
+    lead = "Motion of the arm, from the recorded positions."
     return Section("excitation", "Excitation", lead, tuple(blocks))
 
 
@@ -274,7 +274,7 @@ DEGREES = 180 / np.pi
 
 
 def health(view: RunView) -> Section:
-    """How good the recording is."""
+    """Return the section about the quality of the recording."""
     facts, recording = view.facts, view.recording
     blocks: list[Block] = [
         _continuity(facts, recording),
@@ -311,9 +311,9 @@ def _speed(device: float, wall: float) -> str | None:
 
 
 def _weighings(facts: RunFacts) -> list[Block]:
-    """Return the results of the payload checks; empty without a load sweep."""
+    """Return the payload-check results as a block of the page; empty without payload checks."""
     rows = weighings(facts)
-    return [Facts("Loads as weighed", items(rows))] if rows else []
+    return [Facts("Weighed loads", items(rows))] if rows else []
 
 
 def _ranges(
@@ -343,7 +343,7 @@ def _ranges(
 
 
 def _over_rows(statistic: Callable[[FloatArray], float], values: FloatArray) -> FloatArray:
-    """A statistic per joint over the finite rows; NaN for a joint without any."""
+    """Return a statistic of each joint over its finite rows; NaN without finite rows."""
     columns = (column[np.isfinite(column)] for column in values.T)
     return np.array([float(statistic(column)) if len(column) else np.nan for column in columns])
 
@@ -351,13 +351,13 @@ def _over_rows(statistic: Callable[[FloatArray], float], values: FloatArray) -> 
 MOST_EVENTS = 200
 
 ROUTINE = ("dwell", "checkpoint")
-"""Events of which there are thousands; the timeline counts them instead of listing them."""
+"""Kinds of frequent events that the timeline counts instead of listing."""
 
 NOT_IN_DETAILS = ("t", "time", "kind")
 
 
 def timeline(facts: RunFacts) -> Section:
-    """What happened when, without the thousands of routine events."""
+    """Return the section with the logged events, except routine events."""
     shown = [event for event in facts.events if event.get("kind") not in ROUTINE]
     begin = as_float(facts.events[0].get("t")) if facts.events else float("nan")
     columns = tuple(Column(title, number=False) for title in ("after", "event", "details"))
@@ -385,7 +385,7 @@ def _event(facts: RunFacts, event: Document, begin: float) -> tuple[Cell, ...]:
 
 
 def preflight(facts: RunFacts) -> Section | None:
-    """The checks before motion; None when their results were not kept."""
+    """Return the section with the preflight checks; None if no check results are stored."""
     checks = as_objects(facts.preflight.get("checks"))
     if not checks:
         return None
@@ -403,7 +403,7 @@ def _check(check: Document) -> tuple[Cell, ...]:
 
 
 def provenance(facts: RunFacts) -> Section:
-    """Where the numbers come from: run, code, robot, loads, packages."""
+    """Return the section about the origin of the data: run, code, robot, payloads, packages."""
     packages = Facts("Packages", items(as_object(facts.start.get("packages"))))
     blocks: list[Block] = [
         Facts("Run", items(_run(facts))),
@@ -428,7 +428,7 @@ def _run(facts: RunFacts) -> Mapping[str, Any]:
 
 
 def _waiver(waiver: Any) -> str:
-    """What was waived, why and by whom."""
+    """Return the waived check, the reason for the waiver, and the person who waived the check."""
     if not isinstance(waiver, dict):
         return str(waiver)
     return f"{waiver.get('check')} ({waiver.get('reason')}; {waiver.get('who')})"
@@ -466,7 +466,7 @@ def _loads(loads: Any) -> Table:
         Column("number in the spec", number=False),
         Column("mass [kg]"),
         Column("centre of mass [m]"),
-        Column("asked of the operator", number=False),
+        Column("prompt to the operator", number=False),
     )
     rows = tuple(
         cells(
@@ -486,21 +486,21 @@ def _vector(value: Any) -> str:
 
 
 def fit_page(folders: Sequence[Path], held_out: Mapping[str, Dataset]) -> Page:
-    """The page of models outside a run, as blocks."""
+    """Return the page of models that were evaluated outside a run."""
     problems: list[str] = []
     fits = best_first(read_fits(folders, problems))
     if not fits:
         names = ", ".join(str(folder) for folder in folders)
         raise DataError(
             f"there is no evaluation in {names}" + "".join(f"\n{text}" for text in problems),
-            hint="judge the model first: hil evaluate MODEL SOURCE",
+            hint="evaluate the model first: hil evaluate MODEL SOURCE",
         )
     by_label = {fit.label: held_out[fit.source] for fit in fits if fit.source in held_out}
     shown = _predictions_of(fits, by_label, problems)
     rows = [row for fit in fits for row in fit.criteria]
     return Page(
         title=listed(list(dict.fromkeys(fit.name for fit in fits))),
-        subtitle="Models judged on recordings",
+        subtitle="Models evaluated on recordings",
         badge=verdict_badge(all(row.get("passed") for row in rows) if rows else None),
         summary=f"{fit_sentence(fits[0])} {criteria_sentence(rows)}".strip(),
         key_figures=tuple(fit_highlights(fits[0])),

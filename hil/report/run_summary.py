@@ -1,9 +1,10 @@
-"""A run in a few words and numbers, for page and terminal alike.
+"""Summary of a run in sentences and numbers, for the page and the terminal.
 
-The badge is how the run ended when it ended early, else the verdict on its models. The sentence
-below it says how good the best model is on held-out data, and which criteria it misses. Key
-figures are the numbers people look for first; warnings are what is wrong, or looks wrong. Loads
-are called by their mass, as people on the floor call them.
+If the run ended early, the badge shows how the run ended; otherwise, the badge shows the verdict on
+the models. The summary sentence states the held-out error of the best model and the acceptance
+criteria that the model does not meet. Key figures are the most important numbers of a run. Warnings
+describe confirmed and possible problems of a run. Payloads are named by their mass, as operators
+name them.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ ENDINGS: dict[str, tuple[str, Mark]] = {
 
 
 def badge_of(facts: RunFacts) -> Badge:
-    """How the run ended when it ended early, else the verdict on its models."""
+    """Return the badge: the status if the run ended early, otherwise the verdict on the models."""
     if facts.status in ENDINGS:
         return Badge(*ENDINGS[facts.status])
     return verdict_badge(facts.verdict.get("passed"))
@@ -47,12 +48,12 @@ VERDICTS: dict[bool | None, tuple[str, Mark]] = {
 
 
 def verdict_badge(passed: object) -> Badge:
-    """The badge of a verdict; anything but true and false is not judged."""
+    """Return the badge of a verdict; a value other than true and false means “not evaluated”."""
     return Badge(*VERDICTS[passed if isinstance(passed, bool) else None])
 
 
 def sentence_of(facts: RunFacts) -> str:
-    """The result of the run, in words a lab person understands."""
+    """Return the result of the run as plain sentences."""
     if facts.status in ENDINGS:
         parts = (_ending_sentence(facts), _progress_sentence(facts), _model_sentence(facts))
         return " ".join(filter(None, parts))
@@ -62,13 +63,13 @@ def sentence_of(facts: RunFacts) -> str:
 def _ending_sentence(facts: RunFacts) -> str:
     if facts.status == "interrupted":
         return (
-            "The run ended without saying why: its process was killed, or the power failed. "
-            "What had reached the disk by then is kept and shown here."
+            "The run ended without a stop document: its process was killed, or the power failed. "
+            "This page shows the data that had been written to the disk."
         )
     if facts.status == "running":
-        return "The run is still going on; what had reached the disk by now is shown here."
+        return "The run is still active; this page shows the data written to the disk so far."
     if facts.status == "damaged":
-        return "The run directory is damaged; this page shows what can still be read."
+        return "The run directory is damaged; this page shows the data that can still be read."
     words = {
         "stopped": "The run was stopped early",
         "tripped": "An interlock stopped the robot",
@@ -79,7 +80,7 @@ def _ending_sentence(facts: RunFacts) -> str:
 
 
 def _progress_sentence(facts: RunFacts) -> str:
-    """How far it came: by what was measured, or by the steps where nobody could count that."""
+    """Return the progress of the run: completed measurements, or completed steps instead."""
     if facts.measured:
         return f"Measured: {facts.measured}."
     if not facts.steps:
@@ -94,9 +95,9 @@ def _model_sentence(facts: RunFacts) -> str:
     rows = as_objects(facts.verdict.get("rows"))
     said = criteria_sentence(rows)
     if not best[0].is_honest:  # honest ones come first
-        said = f"It is not judged: {best[0].protocol}. {said}".strip()
+        said = f"The model is not judged: {best[0].protocol}. {said}".strip()
     elif rows and not any(row.get("estimator") for row in rows):
-        said = f"It is not judged: the spec sets no criterion for models. {said}"
+        said = f"The model is not judged: the spec sets no criterion for models. {said}"
     return f"{fit_sentence(best[0])} {said or 'The spec sets no acceptance criteria.'}"
 
 
@@ -104,30 +105,31 @@ def _recording_sentence(facts: RunFacts) -> str:
     done, wanted = "The recording is complete.", facts.estimators_wanted
     if facts.commissioning:
         return (
-            f"{done} It is of a commissioning run, {facts.commissioning}: such runs are neither "
-            "fitted nor judged."
+            f"{done} This is a commissioning run ({facts.commissioning}); commissioning runs are "
+            "neither fitted nor judged."
         )
     if facts.fits:
         names = listed([fit.label for fit in facts.fits])
         return f"{done} {names} was fitted, but not judged on held-out data."
     if wanted:
         return (
-            f"{done} The spec asks for {listed(wanted)}, but there is no fitted model in the run: "
-            f"{'fitting failed' if failed_fits(facts) else 'fitting has not been done'}."
+            f"{done} The spec requires {listed(wanted)}, but the run has no fitted model: "
+            f"{'the fit failed' if failed_fits(facts) else 'no fit has been executed'}."
         )
     if facts.start.get("passive"):
-        return f"{done} Somebody else drove the robot; nothing was fitted yet."
+        return f"{done} Another program drove the robot; no model has been fitted yet."
     said = criteria_sentence(as_objects(facts.verdict.get("rows")))
-    text = f"{done} The spec asks for no model, so nothing was fitted."
+    text = f"{done} The spec requires no model, so none was fitted."
     if facts.is_dwell_program:
         text += (
-            " `hil payload` tells by a model of the bare arm what is mounted; `hil fit` makes one."
+            " `hil payload` identifies the mounted payload with a model of the bare arm, which "
+            "`hil fit` fits."
         )
     return f"{text} {said}".strip()
 
 
 def fit_sentence(fit: FitFacts) -> str:
-    """How good one model is on what it has not seen."""
+    """Return a sentence about the held-out error of a model."""
     what = fit.held_out.get("what")
     error, fast = fit.mean("rmse_raw"), fit.mean("noise_floor")
     text = (
@@ -141,7 +143,7 @@ def fit_sentence(fit: FitFacts) -> str:
 
 
 def criteria_sentence(rows: Sequence[Document]) -> str:
-    """How many criteria are met, and which are not; empty without criteria."""
+    """Return a sentence about met and missed criteria; empty if the run has no criteria."""
     missed = [row for row in rows if not row.get("passed")]
     if not rows:
         return ""
@@ -160,7 +162,10 @@ def _group(row: Document) -> tuple[str, str]:
 
 
 def _missed_criterion(rows: Sequence[Document]) -> str:
-    """`RMSE raw ≤ 0.02 A by 2 of 6 joints, worst elbow_joint with 0.034 A (static-wls)`."""
+    """Return a text such as `RMSE raw ≤ 0.02 A by 2 of 6 joints, worst elbow_joint with 0.034 A`.
+
+    The name of the model follows the text in parentheses.
+    """
     missed = [row for row in rows if not row.get("passed")]
     worst = max(missed, key=lambda row: as_float(row.get("value")))
     model, criterion = _group(worst)
@@ -171,7 +176,7 @@ def _missed_criterion(rows: Sequence[Document]) -> str:
 
 
 def verdict_words(facts: RunFacts) -> str:
-    """`recording passed, model not judged`; empty when nothing has been judged yet."""
+    """Return the verdict, such as `recording passed, model not judged`; empty without a verdict."""
     if not facts.verdict:
         return ""
     said = [f"{part} {_word_of(facts.verdict, part)}" for part in ("recording", "model")]
@@ -179,7 +184,10 @@ def verdict_words(facts: RunFacts) -> str:
 
 
 def _word_of(verdict: Document, part: str) -> str:
-    """The word of one part; from the rows where the verdict is of an older hil."""
+    """Return the verdict on one part of a run, the recording or the models, as one word.
+
+    If an older version of hil did not store this verdict, it is derived from the verdict rows.
+    """
     stored = as_object(verdict.get(part)).get("verdict")
     rows = [
         row
@@ -193,7 +201,7 @@ def _word_of(verdict: Document, part: str) -> str:
 def run_highlights(
     facts: RunFacts, recording: Recording | None, drift: ReferenceDrift | None
 ) -> list[KeyFigure]:
-    """Numbers people look for first."""
+    """Return the key figures of a run."""
     out = fit_highlights(facts.judged_fits[0]) if facts.judged_fits else []
     if facts.steps:
         done, planned = facts.steps_done, len(facts.steps)
@@ -209,7 +217,11 @@ def run_highlights(
 
 
 ALARMING_PERCENT = 1.0
-"""More missing samples than this are marked as a failure, fewer as a warning."""
+"""Share of missing samples [%] above which the key figure of the recording is marked as a
+failure.
+
+If the share of missing samples is smaller but above zero, the key figure is marked as a warning.
+"""
 
 
 def _of_recording(recording: Recording) -> list[KeyFigure]:
@@ -234,7 +246,7 @@ def _peak(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:
 
 
 def fit_highlights(fit: FitFacts) -> list[KeyFigure]:
-    """The held-out errors of a model."""
+    """Return the key figures of a model: its held-out errors and the noise floor."""
     note = f"{fit.label}, mean of {len(fit.joint_names)} joints"
     out = [
         KeyFigure(
@@ -250,7 +262,7 @@ def fit_highlights(fit: FitFacts) -> list[KeyFigure]:
 
 
 def run_warnings(facts: RunFacts, recording: Recording | None) -> list[str]:
-    """What is wrong, or looks wrong, with a run."""
+    """Return the warnings about a run."""
     logged = facts.stop.get("problems")
     out = [*facts.problems, *(map(str, logged) if isinstance(logged, list) else ())]
     if facts.status == "interrupted":
@@ -280,10 +292,10 @@ def _gaps(facts: RunFacts, recording: Recording) -> tuple[str, ...]:
             f"{counts.gaps} gap(s) in the recording: {counts.missing} samples missing ({share} %)."
         )
     if counts.duplicates:
-        out.append(f"{counts.duplicates} sample(s) repeat, or go back in, device time.")
+        out.append(f"{counts.duplicates} sample(s) have a repeated or decreasing device time.")
     logged = facts.stop.get("samples")
     if isinstance(logged, int) and logged != counts.samples:
-        out.append(f"stop.json counts {logged} samples, the recording holds {counts.samples}.")
+        out.append(f"stop.json counts {logged} samples, the recording has {counts.samples}.")
     return tuple(out)
 
 
@@ -307,44 +319,51 @@ def _waived(facts: RunFacts) -> list[str]:
 
 
 def failed_fits(facts: RunFacts) -> list[str]:
-    """The models of the spec that are missing, why, and what to do."""
+    """Return messages about missing models of the spec, with cause and hint."""
     return [
-        f"{problem.get('estimator') or 'No model'} could not be fitted and judged: "
+        f"{problem.get('estimator') or 'No model'} could not be fitted and evaluated: "
         + " → ".join(filter(None, (str(problem.get(key) or "") for key in ("error", "hint"))))
         for problem in as_objects(facts.verdict.get("problems"))
     ]
 
 
 WHOLE = 0.9995
-"""A model valid on a larger share of the rows than this is called valid on all of them."""
+"""Minimum share of rows on which a model is valid to count as valid on all rows."""
 
 
 def fit_warnings(fits: Sequence[FitFacts]) -> list[str]:
-    """Models that were not judged, or not on all rows, or that have seen the target."""
-    out = [f"{fit.label} has not been judged on held-out data." for fit in fits if not fit.held_out]
+    """Return warnings about the models of a run.
+
+    The warnings concern models that were not evaluated, models that are valid on only a part of the
+    rows, and models that use the target as an input.
+    """
+    out = [
+        f"{fit.label} has not been evaluated on held-out data." for fit in fits if not fit.held_out
+    ]
     named = {fit.name: fit.protocol for fit in fits if not fit.is_honest}
-    out += [f"{name} is no prediction and is not judged; {why}." for name, why in named.items()]
+    out += [f"{name} is not a prediction and is not judged; {why}." for name, why in named.items()]
     for fit in fits:
         out += filter(None, [nrmse_warning(fit)])
         coverage = as_float(fit.held_out.get("coverage"))
         if coverage < WHOLE:
             share = number(100 * coverage)
             out.append(
-                f"{fit.label} calls itself valid on {share} % of the held-out rows; "
-                "only those were judged."
+                f"{fit.label} is valid on {share} % of the held-out rows; only these rows were "
+                "evaluated."
             )
     return out
 
 
 NO_SIGNAL = 0.9
-"""NRMSE on the training data from which a joint counts as one without signal."""
+"""Minimum NRMSE on the training data at which a joint counts as a joint without signal."""
 
 
 def nrmse_warning(fit: FitFacts) -> str:
-    """That a limit on the mean NRMSE is about joints without signal too; empty if it is not.
+    """Return a warning if a limit on the mean NRMSE includes joints without signal.
 
-    A joint counts as such when the model does no better than a constant even on the data it was
-    fitted to: at rest, a joint whose axis is vertical carries no gravity at all.
+    The text is empty if the limit includes no joint without signal. A joint has no signal if, even
+    on the training data, the model is not more accurate than a constant. An example of a joint
+    without signal is a static joint with a vertical axis, which carries no gravity load.
     """
     limited = [r for r in fit.criteria if (r.get("metric"), r.get("per")) == ("nrmse", "mean")]
     trained = zip(fit.joint_names, fit.values("nrmse", "trained"), strict=True)
@@ -352,21 +371,23 @@ def nrmse_warning(fit: FitFacts) -> str:
     if not (limited and silent):
         return ""
     return (
-        f"{fit.label}: the limit on the mean NRMSE includes {listed(silent, 6)}, where a constant "
-        "does as well even on the training data: there is no signal to explain, and NRMSE is 1 "
-        "whatever the model is worth. Limit the RMSE instead (accept.rmse)."
+        f"{fit.label}: the limit on the mean NRMSE includes {listed(silent, 6)}. For these joints, "
+        "a constant is as accurate as the model even on the training data: they have no signal, "
+        "and the NRMSE of any model is about 1. Limit the RMSE instead (accept.rmse)."
     )
 
 
 DOUBTFUL = {
-    "waived": "The failed weighing was waived",
-    "inconclusive": "The weighing cannot tell which load is mounted",
+    "waived": "The payload check failed, and the failure was waived",
+    "inconclusive": "The weighing cannot determine which load is mounted",
 }
-"""Results of a weighing after which a run goes on, and what they say about it."""
+"""Warning text by result of a payload check, for results that are doubtful but do not end the
+run.
+"""
 
 
 def weighing_warnings(facts: RunFacts) -> list[str]:
-    """Return a warning for every load that was measured although the payload check doubted it."""
+    """Return a warning for every payload that was measured despite a doubtful payload check."""
     newest = {e.get("load"): e for e in facts.events_of("weighing") if e.get("result") != "skipped"}
     return [
         f"{doubtful}: {load_name(facts, event.get('load'))}: {_weighing_problem(event)}."
@@ -376,13 +397,13 @@ def weighing_warnings(facts: RunFacts) -> list[str]:
 
 
 def _weighing_problem(event: Document) -> str:
-    """Its first line, without the number of the load."""
+    """Return the first line of the problem of a payload check without the payload number."""
     line = str(event.get("problem") or "").partition("\n")[0]
     return line.removeprefix(f"load {event.get('load')}: ")
 
 
 def weighings(facts: RunFacts) -> dict[str, str]:
-    """Load → what was weighed, as it was weighed last; empty for a run without a sweep."""
+    """Return the latest check result of each payload by name; empty without payload checks."""
     latest: dict[str, str] = {}
     for event in facts.events_of("weighing"):
         result = event.get("result")
@@ -402,11 +423,15 @@ def _weighed(event: Document) -> str:
     declared, weighed, deviation = (
         as_float(event.get(key)) for key in ("declared_kg", "weighed_kg", "deviation_kg")
     )
-    return f"{declared:.2f} kg declared, {weighed:.2f} ± {deviation:.2f} kg weighed"
+    return f"{declared:.2f} kg declared, {weighed:.2f} ± {deviation:.2f} kg measured"
 
 
 def load_name(facts: RunFacts, load: Any) -> str:
-    """`3 kg`; `3 kg (load 2)` where that mass is mounted twice, `load 2` where none is known."""
+    """Return the name of a payload, such as `3 kg`.
+
+    If two payloads have the same mass, the payload number is appended to the name, as in `3 kg
+    (load 2)`. A payload of unknown mass is named by its payload number, as in `load 2`.
+    """
     masses = [as_float(one.get("mass_kg")) for one in as_objects(facts.plan.get("loads"))]
     if not isinstance(load, int) or not 0 <= load < len(masses) or not masses[load] >= 0.0:
         return f"load {load}"

@@ -1,6 +1,6 @@
-"""Sections about studies: what a reader should take away, then all tables and figures.
+"""Report sections about studies: summary, tables and figures.
 
-Also how the numbers and protocols of studies are said on the page, in the terminal and on paper.
+The module also formats numbers and protocols of studies for page, terminal and paper.
 """
 
 from __future__ import annotations
@@ -19,21 +19,27 @@ from hil.studies import Part, StudyResult, Value
 from hil.studies import Table as StudyTable
 
 MOST_POINTS = 150_000
-"""Of all series of a page together: about 2 MB, beside 2 MB of the plotting library."""
+"""Maximum total number of curve points in a page: about 2 MB of data, in addition to 2 MB of
+plotly.js.
+"""
 
 FEWEST, ENOUGH = 100, 1200
-"""Points of one series: never fewer, and more than these no plot of the page can show."""
+"""Minimum and maximum number of points of one curve; a plot in the page cannot show more points."""
 
 LONG = 20
-"""Rows from which on a table comes after the figures: nobody reads on to them below it."""
+"""Minimum number of rows at which a table is placed after the figures.
+
+Figures below a long table would easily be overlooked.
+"""
 
 
 def study_sections(studies: Sequence[StudyResult], models: Sequence[str] = ()) -> list[Section]:
-    """For every study what it comes to, followed by its parts.
+    """Return a summary section and sections for all parts of every study.
 
     Args:
-        studies: What they found.
-        models: Of the page, in its order: they look alike in all plots.
+        studies: Results of the studies of the run.
+        models: Names of all models in the order of the page; a model has the same look in all
+            plots.
     """
     figures = [f for study in studies for part in study.parts for f in part.figures]
     curves = sum(len(panel.curves) for figure in figures for panel in figure.panels)
@@ -57,7 +63,8 @@ def _sections(
 ) -> list[Section]:
     blocks: list[Block] = [Notes(study.summary)]
     asked = {key: in_words(value) for key, value in study.parameters.items()}
-    blocks.append(Facts("How it was made", items({**asked, "took": duration(study.seconds)})))
+    parameters = items({**asked, "took": duration(study.seconds)})
+    blocks.append(Facts("Parameters of the study", parameters))
     figures = [figure for part in study.parts for figure in part.figures]
     panels = [panel for figure in figures for panel in figure.panels]
     names = {panel.title for panel in panels} | {c.name for panel in panels for c in panel.curves}
@@ -90,35 +97,43 @@ def _table(table: StudyTable) -> Table:
 HONEST = "honest"
 
 HONEST_MEANS = (
-    "Honest protocol: models predict the effort from the motion alone, without a look at what was "
-    "measured, and errors are of motions that were not used in fitting them."
+    "Honest protocol: models predict the effort from the motion alone, without the measured "
+    "effort, and are evaluated on motions that were not used to fit them."
 )
 
 
 def _lead(protocol: str) -> str:
-    """What a protocol is, before anybody reads its numbers; a paper's are no predictions."""
+    """Return a text that explains the protocol.
+
+    For the protocol of a paper, the text states that the numbers do not measure prediction
+    accuracy.
+    """
     if not protocol:
         return ""
     if protocol == HONEST:
         return HONEST_MEANS
     return (
-        f"Protocol {protocol}. These numbers are there to be compared with the paper's; they are "
-        "no measure of how well a model predicts."
+        f"Protocol {protocol}. These numbers serve for comparison with the paper only; they do not "
+        "measure how well a model predicts."
     )
 
 
 MODEL_KEYS = ("models", "estimators")
-"""Parameters of studies that name models."""
+"""Names of study parameters that contain names of models."""
 
 DIGITS = 3
-"""Significant digits of the median of a column, and of any number that stands by itself."""
+"""Number of significant digits for the median of a column, and for a single number."""
 
 MOST_DIGITS = 6
-"""A column whose largest number would take more is not brought to common decimals."""
+"""Maximum number of digits of the largest number in a column with a common number of decimals.
+
+If the largest number of a column would need more digits, the column has no common number of
+decimals.
+"""
 
 
 def columns_of(table: StudyTable) -> list[list[str]]:
-    """The texts of each column; the numbers of one have equally many decimals where they can."""
+    """Return the texts of each column; the numbers of a column have equal decimals if possible."""
     columns = ([row[i] for row in table.rows] for i in range(len(table.columns)))
     return [_column(values, table.decimals) for values in columns]
 
@@ -136,7 +151,7 @@ def _column(values: Sequence[Value], asked: int | None) -> list[str]:
 
 
 def _decimals(values: Sequence[float]) -> int | None:
-    """How many decimals suit all of some numbers; None where each needs its own."""
+    """Return a common number of decimals for some numbers; None if no number is suitable."""
     sizes = [abs(value) for value in values if math.isfinite(value) and value]
     if not sizes:
         return None
@@ -151,14 +166,14 @@ def _text(value: Value, decimals: int | None) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        # A number far below the others keeps digits of its own: it is small, and not nothing.
+        # A number that would be rounded to zero is shown with significant digits instead.
         shown = decimals is not None and (value == 0 or abs(value) >= 0.5 * 10.0**-decimals)
         return f"{value:.{decimals}f}" if shown else number(value, DIGITS)
     return str(value)
 
 
 def distinct_titles(studies: Sequence[StudyResult]) -> list[str]:
-    """Title of each study; of those with equal titles, with the models or what else differs."""
+    """Return the title of each study; equal titles are extended by distinguishing texts."""
     out = []
     for study in studies:
         alike = [other.parameters for other in studies if other.title == study.title]
@@ -168,7 +183,11 @@ def distinct_titles(studies: Sequence[StudyResult]) -> list[str]:
 
 
 def _differing(asked: Mapping[str, Any], alike: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """What is not the same in all of them; models by name where their names do it."""
+    """Yield the names of the parameters that differ between studies.
+
+    If the model names of the studies differ, these names replace the parameters that contain
+    models.
+    """
     told = _models_of(asked)
     named = bool(told) and any(_models_of(other) != told for other in alike)
     if named:
@@ -181,19 +200,23 @@ def _differing(asked: Mapping[str, Any], alike: Sequence[Mapping[str, Any]]) -> 
 
 
 def _models_of(asked: Mapping[str, Any], most: int = 6) -> str:
-    """Names of the models a study is of, those of stored ones without digests."""
+    """Return the model names of a study, without the digests of stored models."""
     stored = asked.get("models") or ()
     named = [PurePath(str(one)).name.rpartition("-")[0] or str(one) for one in stored]
     return listed(named or [_entry(one) for one in asked.get("estimators") or ()], most)
 
 
 def _entry(one: Any) -> str:
-    """An estimator, by name or with its parameters beside that."""
+    """Return the name of an estimator that is passed as a name or as a parameter mapping."""
     return str(one.get("estimator")) if isinstance(one, Mapping) else str(one)
 
 
 def short_titles(studies: Sequence[StudyResult]) -> list[str]:
-    """For a list of contents: up to the colon; of those alike, with models or numbers."""
+    """Return short section titles for the table of contents.
+
+    A short title is the part of the title before the first colon. Equal short titles are extended
+    by model names or numbers.
+    """
     short = [study.title.partition(":")[0].rstrip("?") for study in studies]
     models = [_models_of(study.parameters, 1) for study in studies]
     out = []
@@ -206,11 +229,11 @@ def short_titles(studies: Sequence[StudyResult]) -> list[str]:
 
 
 def is_numeric(table: StudyTable, i: int) -> bool:
-    """Whether a column holds numbers only; the first names the rows."""
+    """Return whether a column contains no text; false for the first column, which has row names."""
     return i > 0 and not any(isinstance(row[i], str) for row in table.rows)
 
 
 def protocol_mark(protocol: str) -> str:
-    """`honest protocol`, `paper protocol`; empty for parts about no model."""
+    """Return `honest protocol` or `paper protocol`; empty for a part that evaluates no model."""
     word = protocol.partition(":")[0].strip()
     return f"{word} protocol" if word else ""

@@ -1,4 +1,4 @@
-"""The same summary for a terminal: plain lines of at most 80 columns (paths stay whole)."""
+"""Summary of a run for a terminal: plain lines of at most 80 columns, with unbroken paths."""
 
 from __future__ import annotations
 
@@ -31,14 +31,17 @@ APART = 2
 
 
 def summary_lines(run: Path, width: int = WIDTH) -> list[str]:
-    """What a run was, how it ended and what its models are worth; the samples are not read.
+    """Return the summary lines of a run: description, end of the run, and model errors.
+
+    The samples of the run are not read.
 
     Args:
-        run: The run directory.
-        width: Of the terminal; the table of a model needs 40 columns.
+        run: Path of the run directory.
+        width: Width of the terminal in columns; the table of a model requires 40 columns.
 
     Raises:
-        DataError: It is not a run directory, or was written by a newer hil.
+        DataError: The path is not a run directory, or the run was written by a newer version of
+            hil.
     """
     facts = read_facts(Path(run))
     lines = [*wrap(f"{badge_of(facts).text}  {facts.name}", width), ""]
@@ -57,7 +60,10 @@ def summary_lines(run: Path, width: int = WIDTH) -> list[str]:
 
 
 def _paragraph(text: str, width: int) -> list[str]:
-    """Wrapped, with the line breaks and the indents it has: reasons may hold small tables."""
+    """Return the text wrapped, with its own line breaks and indents preserved.
+
+    The line breaks are preserved because the text of an error possibly contains a small table.
+    """
     lines: list[str] = []
     for line in text.splitlines():
         indent = " " * (len(line) - len(line.lstrip()))
@@ -71,7 +77,7 @@ def _wrapped(text: str, width: int, first: str, others: str) -> list[str]:
         width,
         initial_indent=first,
         subsequent_indent=others,
-        break_long_words=False,  # a path that is cut in two cannot be copied
+        break_long_words=False,  # a path split over two lines cannot be copied
         break_on_hyphens=False,
     )
 
@@ -85,7 +91,7 @@ def _warnings(facts: RunFacts) -> list[str]:
 
 
 def _commands(facts: RunFacts, run: Path) -> list[str]:
-    label = "to go on" if facts.status in RESUMABLE else "next"
+    label = "resume" if facts.status in RESUMABLE else "next"
     commands = [(label, next_command(facts, str(run)))]
     if not _report(facts):
         commands.append(("next", f"hil report {run}"))
@@ -162,7 +168,10 @@ def _fit_lines(fit: FitFacts, width: int) -> list[str]:
 
 
 def _row(name: str, values: list[str], names: int, wide: int) -> list[str]:
-    """A name that takes more than its column has a line of its own: none is shortened."""
+    """Return the text lines of one table row.
+
+    A name that does not fit into its column is placed on a separate line and is not shortened.
+    """
     cells = "".join(f"{value:>{wide}}" for value in values)
     if len(name) + APART > names:
         return [name, " " * names + cells]

@@ -1,4 +1,4 @@
-"""The page of `hil try-out`: tracking errors and the effort of a hand, with and without a model."""
+"""Page of `hil simulate`: tracking errors and hand-guiding effort with and without a model."""
 
 from __future__ import annotations
 
@@ -37,21 +37,23 @@ TRY_OUT_FILE = "report.html"
 
 
 def trial_page(trial: Trial) -> Page:
-    """The page as blocks."""
+    """Return the page of a simulated trial of a model."""
     told = found(trial)
-    about = Facts("How it was made", items({**told.parameters, "took": duration(told.seconds)}))
+    parameters = items({**told.parameters, "took": duration(told.seconds)})
+    about = Facts("Parameters of the simulation", parameters)
     return Page(
         title=told.title,
-        subtitle=f"{Path(trial.model).name} tried on {trial.robot}",
+        subtitle=f"{Path(trial.model).name} simulated on {trial.robot}",
         badge=_badge(trial),
         summary=told.summary[0],
         key_figures=tuple(_key_figures(trial)),
         warnings=told.warnings,
         sections=(
-            Section("found", "What was found", "", (_criteria(trial), Notes(told.summary), about)),
+            Section("found", "Results", "", (_criteria(trial), Notes(told.summary), about)),
             *study_sections([told])[1:],
         ),
-        footer="A simulated arm; on a real one watch its limits yourself, with a hand on the stop.",
+        footer="The arm is simulated. On a real arm, monitor its limits and keep the stop button "
+        "within reach.",
     )
 
 
@@ -63,7 +65,7 @@ def _badge(trial: Trial) -> Badge:
 
 
 def _criteria(trial: Trial) -> Table:
-    columns = ("criterion", "met", "found", "what to do")
+    columns = ("criterion", "met", "result", "what to do")
     rows = tuple(
         (
             Cell(criterion.asked),
@@ -75,7 +77,7 @@ def _criteria(trial: Trial) -> Table:
     )
     shown = len(columns) - trial.ok
     return Table(
-        "What the model is held to",
+        "Criteria of the simulation",
         tuple(Column(title, number=False) for title in columns[:shown]),
         tuple(row[:shown] for row in rows),
     )
@@ -84,13 +86,15 @@ def _criteria(trial: Trial) -> Table:
 def _key_figures(trial: Trial) -> list[KeyFigure]:
     figures = []
     if np.isfinite(improvement(trial)):
-        told = f"of that with the model, behind a soft PD controller: {unaided(trial)}"
-        figures.append(KeyFigure("tracking error without", f"{improvement(trial):.0f} ×", told))
+        told = f"the error with the model; without: {unaided(trial)}, with a soft PD controller"
+        figures.append(
+            KeyFigure("tracking error without model", f"{improvement(trial):.0f} ×", told)
+        )
     way = most_help(trial)
     for over, label in (
         (NOTHING, "effort of the hand"),
-        (DATASHEET, "the same, beside the datasheet"),
-        (GRAVITY, "the same, by friction alone"),
+        (DATASHEET, "effort relative to the datasheet model"),
+        (GRAVITY, "effort relative to gravity compensation"),
     ):
         share = relief(trial, way, over)
         if over != way and np.isfinite(share).all():

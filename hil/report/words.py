@@ -1,7 +1,8 @@
-"""How numbers, units, times and metrics are said, on the page and in the terminal alike.
+"""Text formatting of numbers, units, times and metrics for page and terminal.
 
-`number` shows significant digits of a bare number. `measure` shows a value with its unit as
-engineers write it, `0.0466 mrad` and `47.1 GB`, without exponents.
+The function `number` formats a number with a certain number of significant digits. The function
+`measure` formats a value with its unit and a suitable prefix instead of an exponent, as in `0.0466
+mrad` and `47.1 GB`.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from pathlib import PurePath
 from typing import Any
 
 UNKNOWN = "–"
-"""What is shown in place of a number that is not known."""
+"""Text that is displayed for an unknown number."""
 
 LATE = "more than 1.5 periods after the one before; none is lost"
-"""What a late sample is."""
+"""Text that explains the term “late sample”."""
 
 METRIC_WORDS = {
     "rmse_raw": "RMSE raw",
@@ -26,18 +27,21 @@ METRIC_WORDS = {
     "mep": "MEP",
     "r": "R",
     "gaps_percent": "missing samples",
-    "load_error_ratio": "error under a load over that with the first",
+    "load_error_ratio": "error under a load relative to the first load",
     "contradicted_loads": "declared loads contradicted",
 }
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """`value` with `digits` significant digits, never in exponents a reader stumbles over."""
+    """Return a number with `digits` significant digits.
+
+    Exponents are used only for magnitudes below 0.0001 and from 1,000,000 on.
+    """
     if value is None or not math.isfinite(value):
         return UNKNOWN
     if value == 0:
         return "0"
-    # Of what is shown: 99.97 is 100 in three digits, and not 100.0.
+    # Use the magnitude of the rounded number: with three digits, 99.97 becomes 100, not 100.0.
     magnitude = int(f"{value:.{digits - 1}e}".partition("e")[2])
     if -4 <= magnitude < 6:
         return f"{value:.{max(0, digits - 1 - magnitude)}f}"
@@ -45,17 +49,17 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def count(value: int) -> str:
-    """A whole number with its thousands apart (narrow no-break spaces)."""
+    """Return an integer with narrow no-break spaces between thousands."""
     return f"{value:,}".replace(",", "\u202f")
 
 
 def counted(number: Any, what: str) -> str:
-    """`1 gap`, `2 gaps`."""
+    """Return a count with its noun, as in `1 gap` and `2 gaps`."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def duration(seconds: float | None) -> str:
-    """`12.3 s`, `4 min 05 s` or `1 h 19 min`."""
+    """Return a duration as text, such as `12.3 s`, `4 min 05 s` or `1 h 19 min`."""
     if seconds is None or not math.isfinite(seconds):
         return UNKNOWN
     if seconds < 60:
@@ -67,7 +71,7 @@ def duration(seconds: float | None) -> str:
 
 
 def when(text: Any) -> str:
-    """An ISO time as people write it, in UTC; the text itself when it is none."""
+    """Return an ISO time as readable text in UTC; an invalid time is returned unchanged."""
     try:
         told = datetime.fromisoformat(str(text))
     except ValueError:
@@ -77,14 +81,14 @@ def when(text: Any) -> str:
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:
-    """`a, b, c and 5 more`."""
+    """Return a list of names as text, such as `a, b, c and 5 more`."""
     if len(names) <= most:
         return ", ".join(names)
     return f"{', '.join(names[:most])} and {len(names) - most} more"
 
 
 def in_words(value: Any) -> str:
-    """A value of a JSON document as people write it, such as `torque (stop, 26 N·m)`."""
+    """Return a value of a JSON document as readable text, such as `torque (stop, 26 N·m)`."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, Mapping):
@@ -92,30 +96,30 @@ def in_words(value: Any) -> str:
         rest = [f"{k} {in_words(v)}" for k, v in value.items() if k != "name" and v != ""]
         return f"{named} ({', '.join(rest)})" if named else ", ".join(rest)
     if isinstance(value, list):
-        # What has commas of its own is kept apart by semicolons.
+        # Items that contain commas are separated by semicolons.
         apart = "; " if any(isinstance(item, Mapping | list) for item in value) else ", "
         return apart.join(map(in_words, value)) or UNKNOWN
     return UNKNOWN if value is None else str(value)
 
 
 def quantity(unit: str) -> str:
-    """What an effort in this unit is."""
+    """Return the name of the quantity that a unit of effort measures."""
     return "motor current" if unit == "A" else "joint torque"
 
 
 def joint_title(j: int, name: str) -> str:
-    """`J2 shoulder_lift_joint`."""
+    """Return the title of a joint, such as `J2 shoulder_lift_joint`."""
     return f"J{j + 1} {name}"
 
 
 def with_unit(value: Any, unit: Any) -> str:
-    """A number and its unit; dimensionless ones have the unit `1`, which is not said."""
+    """Return a number with its unit as text; the unit `1` of a dimensionless number is omitted."""
     said = number(float(value)) if isinstance(value, int | float) else UNKNOWN
     return said if unit in (None, "", "1") else f"{said} {unit}"
 
 
 def criterion_text(row: Mapping[str, Any]) -> str:
-    """A row of a verdict as its criterion: `RMSE raw ≤ 0.02 A`."""
+    """Return the criterion of a verdict row as text, such as `RMSE raw ≤ 0.02 A`."""
     metric, limit, unit = str(row.get("metric")), row.get("max"), row.get("unit")
     said = f"{limit:g}" if isinstance(limit, int | float) else UNKNOWN
     text = f"{METRIC_WORDS.get(metric, metric)} ≤ {said}"
@@ -123,7 +127,7 @@ def criterion_text(row: Mapping[str, Any]) -> str:
 
 
 def short_source(name: str) -> str:
-    """A source without the folders it lies in; what follows a `#` or `:` is kept."""
+    """Return the name of a data source without its folders; text after a `#` or `:` is retained."""
     path, mark, rest = name.partition("#")
     return PurePath(path).name + mark + rest if "/" in path else name
 
@@ -140,7 +144,7 @@ _UNITS = {
 
 
 def with_unit_apart(key: str) -> str:
-    """A key that ends in its unit, as people write it: `velocity_rad_s` → `velocity [rad/s]`."""
+    """Return a key with its unit in brackets: `velocity_rad_s` → `velocity [rad/s]`."""
     for ending, unit in _UNITS.items():
         if key.endswith(ending):
             return f"{key.removesuffix(ending).replace('_', ' ')} [{unit}]"
@@ -150,20 +154,30 @@ def with_unit_apart(key: str) -> str:
 PREFIXES = {1.0: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}
 
 SMALLER = ("rad", "rad/s", "rad/s²", "m", "m/s", "m/s²", "s", "A", "V", "W", "N", "N·m")
-"""Units that are said in thousandths. What is large in them stays so: 1200 N·m is no kN·m here."""
+"""Units that get a prefix for small values; large values have no prefix, as in 1200 N·m."""
 
 BYTES = {"B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9}
 LIMIT_DIGITS = 6
 
 MOST_DIGITS = 9
-"""Of a value that is all but its limit; what is nearer is taken for equal."""
+"""Maximum number of digits that are used to distinguish a value from its limit.
+
+If a value is so close to its limit that more digits would be needed, the two are shown as equal.
+"""
 
 LEAST = 1e-3
-"""A single value below it, or a pair below a hundred times as much, is said in a smaller unit."""
+"""Value, in the displayed unit, below which a smaller unit is chosen.
+
+For a pair of value and limit, the larger of the two numbers is compared with 100 times this
+threshold.
+"""
 
 
 def measure(value: Any, unit: Any) -> str:
-    """A value in the unit that suits it: `0.350 A`, `0.0466 mrad`, `47.1 GB`; UNKNOWN for none."""
+    """Return a value with a suitable unit, such as `0.350 A`, `0.0466 mrad` or `47.1 GB`.
+
+    A missing value yields the text UNKNOWN.
+    """
     known = _known(value)
     factor, shown = _suiting(abs(known), str(unit or ""), LEAST)
     return _with(_figure(known / factor), shown)
@@ -174,13 +188,13 @@ def _known(value: Any) -> float:
         return math.nan
     try:
         known = float(value)
-    except OverflowError:  # of a whole number
+    except OverflowError:  # an integer that is too large for a float
         return math.nan
     return known if abs(known) < 1e300 else math.nan
 
 
 def _suiting(greatest: float, unit: str, least: float) -> tuple[float, str]:
-    """What to divide by, and the unit then."""
+    """Return the divisor that converts a value to a suitable unit, and this unit."""
     if not math.isfinite(greatest) or not greatest:
         return 1.0, unit
     if unit in BYTES:
@@ -198,7 +212,11 @@ def _with(figure: str, unit: str) -> str:
 
 
 def _figure(value: float) -> str:
-    """Three digits; thousands apart; what would be a row of noughts is less than a thousandth."""
+    """Return a number as text with three digits and separated thousands.
+
+    A positive number below 0.001 is shown as `< 0.001`, a negative number above -0.001 as `>
+    -0.001`.
+    """
     if not math.isfinite(value) or not value:
         return number(value)
     if abs(value) < 0.9995e-3:
@@ -207,7 +225,10 @@ def _figure(value: float) -> str:
 
 
 def measures(value: Any, limit: Any, unit: Any) -> tuple[str, str]:
-    """A value and its limit in one unit, that of the greater: `0.0466 mrad` and `20 mrad`."""
+    """Return a value and its limit in a common unit, such as `0.0466 mrad` and `20 mrad`.
+
+    The common unit suits the larger of the two numbers.
+    """
     known, bound = _known(value), _known(limit)
     greater = max((abs(one) for one in (known, bound) if math.isfinite(one)), default=0.0)
     factor, shown = _suiting(greater, str(unit or ""), 100 * LEAST)
@@ -216,7 +237,10 @@ def measures(value: Any, limit: Any, unit: Any) -> tuple[str, str]:
 
 
 def _figure_beside(value: float, bound: float) -> str:
-    """As many digits as tell on which side of its limit a value is: 150.4 is beyond 150."""
+    """Return a number with enough digits to show on which side of its limit the number is.
+
+    For example, the value 150.4 is shown with four digits if its limit is 150.
+    """
     figure = _figure(value)
     if not math.isfinite(bound - value) or figure[0] in "<>":
         return figure
@@ -231,12 +255,16 @@ def _side(value: float, bound: float) -> int:
 
 
 def _rounded(value: float, digits: int) -> float:
-    """What is read where a value has so many digits."""
+    """Return the number that results from displaying a number with `digits` digits."""
     return float(f"{value:.{_decimals(value, digits)}f}")
 
 
 def _decimals(value: float, digits: int) -> int:
-    """Of what is shown: 99.97 is 100 in three digits, and not 100.0."""
+    """Return the number of decimals that correspond to `digits` significant digits.
+
+    The decimals are those of the rounded number: with three digits, 99.97 becomes 100 and not
+    100.0.
+    """
     magnitude = int(f"{value:.{digits - 1}e}".partition("e")[2])
     return max(0, digits - 1 - magnitude)
 
@@ -246,7 +274,7 @@ def _digits(value: float, digits: int) -> str:
 
 
 def _exact(value: float) -> str:
-    """A limit, which somebody set: all its digits up to six, and no noughts at its end."""
+    """Return a limit as text with up to six digits and without trailing zeros."""
     if not math.isfinite(value) or not value:
         return number(value)
     text = _digits(value, LIMIT_DIGITS)
@@ -254,13 +282,16 @@ def _exact(value: float) -> str:
 
 
 def named(key: str, value: Any) -> tuple[str, str]:
-    """A key that ends in its unit, and its value: `clearance_m` → `clearance`, `0.0220 m`."""
+    """Return the name and the formatted value of a key whose name ends in its unit.
+
+    For example, the key `clearance_m` yields `clearance` and `0.0220 m`.
+    """
     name, _, unit = with_unit_apart(key).removesuffix("]").partition(" [")
     return name, measure(value, unit)
 
 
 def size(n_bytes: float) -> str:
-    """`532 B`, `1.20 MB` and the like, in powers of ten."""
+    """Return a number of bytes as text, such as `532 B` or `1.20 MB`, with decimal prefixes."""
     if not math.isfinite(n_bytes):
         return UNKNOWN
     whole = round(n_bytes)

@@ -1,8 +1,9 @@
-"""The robot protocol: what drivers implement and the engine uses.
+"""Robot protocol: the interface that drivers implement and the engine uses.
 
-`protocol` is the contract, `state` the rows that drivers give, `lease` the right of one process to
-drive a robot. A driver may live in a process of its own: `subprocess_robot` and `subprocess_server`
-are the two sides of it, `ipc` the messages between them.
+The module `protocol` defines the interface, `state` the rows that drivers deliver, and `lease` the
+exclusive access of one process to a robot. A driver can run in a separate process:
+`subprocess_robot` and `subprocess_server` are the two sides of the connection, and `ipc` defines
+the messages.
 """
 
 import lazy_loader

@@ -1,13 +1,14 @@
-"""Messages between `hil` and a driver's process: a JSON header and raw arrays, nothing executable.
+"""Messages between `hil` and a driver process: JSON header and raw arrays, no executable code.
 
 A frame is::
 
     "hil1" | header length u32 | body length u32 | header (JSON object) | body (array bytes)
 
-The header's `arrays` lists dtype and shape of what the body holds, one after the other. `Line`
-sends and receives frames over a socket, `pack` and `unpack` make and read them; the other functions
-turn segments, payloads, errors and the facts of a robot (`Facts`) into header and arrays and back.
-Nothing that comes from the other process is trusted: what is not of this format is `garbage`.
+The key `arrays` of the frame header lists dtype and shape of the consecutive arrays in the body.
+The class `Line` sends and receives frames over a socket; `pack` and `unpack` encode and decode
+frames. The other functions of this module convert segments, payloads, errors and robot properties
+(`Facts`) to header and arrays, and back. Data from the other process are not trusted: if received
+data do not have the message format, the error of `garbage` is raised.
 """
 
 from __future__ import annotations
@@ -59,19 +60,23 @@ MAGIC = b"hil1"
 MOST_HEADER = 1 << 20
 
 MOST_BODY = 1 << 28
-"""Bounds [bytes]; a segment of an hour at 500 Hz for seven joints is 2.9e8, a day's dwell 1e6."""
+"""Maximum size of the body of a frame [bytes].
+
+For comparison, a segment of one hour at 500 Hz for seven joints has 2.9e8 bytes, and a dwell of one
+day has 1e6 bytes.
+"""
 
 _CHUNK = 1 << 18
 
 
 class Line:
-    """One end of a stream of frames. Not for several threads at once.
+    """One end of a connection that transfers frames; not for concurrent use by several threads.
 
     Args:
-        end: Connected stream socket; the line owns it.
+        end: Connected stream socket; the connection owns the socket.
 
     Attributes:
-        torn: Half a frame was left behind, or no frame came: the line is of no use any more.
+        torn: Whether the connection is unusable after an incomplete or invalid frame.
     """
 
     def __init__(self, end: socket.socket) -> None:
@@ -83,32 +88,34 @@ class Line:
         """Send a packed frame.
 
         Raises:
-            EndOfLine: Nobody is there.
-            RobotTimeout: The other side does not take it; the line is of no use after that.
+            EndOfLine: The other side has closed the connection.
+            RobotTimeout: The other side does not receive the frame in time; the connection is then
+                unusable.
         """
         self._require_whole()
-        # Torn until it is sent: whatever interrupts this leaves half a frame behind.
+        # Set until the frame is sent completely, because an interruption leaves half a frame.
         self.torn = True
         try:
             self._end.settimeout(timeout_s)
             self._end.sendall(frame)
         except TimeoutError as error:
             raise RobotTimeout(
-                f"the driver's process has not taken a message within {timeout_s:g} s",
-                hint="it is overloaded or hangs: stop the robot, then begin anew",
+                f"the driver process has not taken a message within {timeout_s:g} s",
+                hint="the process is overloaded or hangs: stop the robot, then restart",
             ) from error
         except OSError as error:
-            self.torn = False  # nobody is there to be out of step with
-            raise EndOfLine(f"the line is cut: {error}") from error
+            self.torn = False  # the other side is gone, so the frames need not stay in sync
+            raise EndOfLine(f"the connection is broken: {error}") from error
         self.torn = False
 
     def receive(self, timeout_s: float | None = None) -> Message:
-        """The next frame; a time-out loses nothing.
+        """Return the next frame that arrives; no data are lost at a time-out.
 
         Raises:
-            EndOfLine: Nobody is there.
-            RobotTimeout: It has not come in time.
-            RobotConnectionError: What came is no frame; the line is of no use after that.
+            EndOfLine: The other side has closed the connection.
+            RobotTimeout: No complete frame has arrived in time.
+            RobotConnectionError: The received data are not a frame; the connection is then
+                unusable.
         """
         self._require_whole()
         until = None if timeout_s is None else time.monotonic() + timeout_s
@@ -124,14 +131,17 @@ class Line:
         return unpack(text, raw)
 
     def close(self) -> None:
-        """The other side sees the end; so does a thread that receives on this one."""
+        """Close the connection.
+
+        Closing the connection notifies the other side and a thread that receives on this end.
+        """
         self._end.close()
 
     def cut(self) -> None:
-        """Let whoever receives on this end see the end of the line; from any thread."""
+        """Shut down the connection from any thread; a receiver on this end then returns."""
         try:
             self._end.shutdown(socket.SHUT_RDWR)
-        except OSError:  # cut already, from either side
+        except OSError:  # already shut down by either side
             return
 
     def _fill(self, size: int, until: float | None) -> None:
@@ -142,32 +152,32 @@ class Line:
                 piece = self._end.recv(_CHUNK)
             except TimeoutError as error:
                 raise RobotTimeout(
-                    "the driver's process does not answer",
-                    hint="the driver hangs: see that the robot is at rest, then begin anew",
+                    "the driver process does not answer",
+                    hint="the driver hangs: make sure that the arm stands still, then restart",
                 ) from error
             except OSError as error:
-                raise EndOfLine(f"the line is cut: {error}") from error
+                raise EndOfLine(f"the connection is broken: {error}") from error
             if not piece:
-                raise EndOfLine("the line has ended")
+                raise EndOfLine("the connection has ended")
             self._buffer += piece
 
     def _require_whole(self) -> None:
         if self.torn:
             raise RobotConnectionError(
-                "the line to the driver's process is out of step", hint="close the robot"
+                "the connection to the driver process is out of step", hint="close the robot"
             )
 
 
 class EndOfLine(RobotConnectionError):
-    """The other side is gone."""
+    """Error for a connection that the other side has closed."""
 
 
 def pack(header: Mapping[str, Any], arrays: Sequence[StructArray] = ()) -> bytes:
-    """One frame.
+    """Return the bytes of an encoded frame.
 
     Raises:
-        RobotConnectionError: It would be larger than the other side accepts.
-        TypeError, ValueError: The header cannot be said in JSON.
+        RobotConnectionError: The frame exceeds the maximum size that the other side accepts.
+        TypeError, ValueError: The header cannot be converted to JSON.
     """
     whole = [np.asarray(array) for array in arrays]
     described = [[dtype_text(array.dtype), array.shape] for array in whole]
@@ -175,17 +185,17 @@ def pack(header: Mapping[str, Any], arrays: Sequence[StructArray] = ()) -> bytes
     body = b"".join(array.tobytes() for array in whole)
     if len(head) > MOST_HEADER or len(body) > MOST_BODY:
         raise RobotConnectionError(
-            f"a message of {len(head) + len(body)} bytes is too long for the driver's process",
+            f"a message of {len(head) + len(body)} bytes is too long for the driver process",
             hint="split the motion into shorter ones",
         )
     return PREFIX.pack(MAGIC, len(head), len(body)) + head + body
 
 
 def unpack(head: bytes, body: bytes | bytearray) -> Message:
-    """Header and arrays of one frame; the arrays are the caller's own.
+    """Return the header and the arrays of a frame; the arrays have their own memory.
 
     Raises:
-        RobotConnectionError: It is no frame of this format.
+        RobotConnectionError: The received data are not a valid frame.
     """
     try:
         header = json.loads(head)
@@ -213,10 +223,10 @@ def _arrays(described: Sequence[Any], body: memoryview) -> list[StructArray]:
 
 @lru_cache(maxsize=64)
 def dtype_text(dtype: np.dtype[Any]) -> str:
-    """A plain or flat structured dtype, as text.
+    """Return a plain or flat structured dtype as text.
 
     Raises:
-        RobotConnectionError: It is nested, or holds objects.
+        RobotConnectionError: The dtype is nested or contains Python objects.
     """
     if dtype.names is None:
         text = dtype.str
@@ -225,7 +235,7 @@ def dtype_text(dtype: np.dtype[Any]) -> str:
         text = json.dumps(fields)
     if not _reads_back(text, dtype):
         raise RobotConnectionError(
-            f"rows of {dtype} cannot be sent from a driver's process",
+            f"rows of {dtype} cannot be sent from a driver process",
             hint="use a packed record of numbers, see hil.robot.Topic",
         )
     return text
@@ -240,10 +250,10 @@ def _reads_back(text: str, dtype: np.dtype[Any]) -> bool:
 
 @lru_cache(maxsize=64)
 def dtype_of(text: str) -> np.dtype[Any]:
-    """What `dtype_text` wrote.
+    """Return the dtype for a text that `dtype_text` returned.
 
     Raises:
-        ValueError, TypeError: It did not.
+        ValueError, TypeError: The text was not returned by `dtype_text`.
     """
     if not text.startswith("["):
         return _plain_dtype(text)
@@ -261,16 +271,16 @@ def _plain_dtype(text: str) -> np.dtype[Any]:
 
 
 def garbage(what: str) -> RobotConnectionError:
-    """The error for anything that is not what this format says."""
+    """Return the error for received data that do not have the message format."""
     return RobotConnectionError(
-        f"what the driver's process says cannot be understood: {what[:200]}",
-        hint="does the driver write to descriptors that are not its own?",
+        f"invalid message of the driver process: {what[:200]}",
+        hint="check that the driver does not write to descriptors it did not open",
     )
 
 
 @contextlib.contextmanager
 def understood() -> Iterator[None]:
-    """While inside, a document that is not what it should be raises `RobotConnectionError`."""
+    """Convert errors about an invalid document in the block into `RobotConnectionError`."""
     try:
         yield
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -278,10 +288,10 @@ def understood() -> Iterator[None]:
 
 
 def plain_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """A driver's options as JSON can carry them.
+    """Return the options of a driver in a form that JSON supports.
 
     Raises:
-        SpecError: One holds what YAML has no plain value for, such as a date.
+        SpecError: The value of an option has no plain JSON form, for example a date.
     """
     return {name: _plain(value, f"option {name}") for name, value in options.items()}
 
@@ -294,18 +304,18 @@ def _plain(value: Any, where: str) -> Any:
     if isinstance(value, dict) and all(isinstance(key, str) for key in value):
         return {key: _plain(item, f"{where}.{key}") for key, item in value.items()}
     raise SpecError(
-        f"{where}: {value!r} cannot be sent to a driver's process",
+        f"{where}: {value!r} cannot be sent to a driver process",
         hint="use numbers, text, lists and mappings with text keys; put dates into quotes",
     )
 
 
 def payload_from(document: Mapping[str, Any]) -> Payload:
-    """The other half of `dataclasses.asdict`."""
+    """Return the payload for a document that `dataclasses.asdict` created."""
     return Payload(document["mass"], tuple(document["com"]), tuple(document["inertia"]))
 
 
 def segment_document(segment: Segment) -> tuple[dict[str, Any], list[FloatArray]]:
-    """A segment as a header and its set-points."""
+    """Return a segment as a header and set-point arrays."""
     document = {
         "index": int(segment.index),
         "kind": segment.kind,
@@ -318,29 +328,31 @@ def segment_document(segment: Segment) -> tuple[dict[str, Any], list[FloatArray]
 
 
 def segment_from(document: Mapping[str, Any], arrays: Sequence[StructArray]) -> Segment:
-    """The other half of `segment_document`."""
+    """Return the segment for a header and arrays that `segment_document` created."""
     q, qd, qdd = arrays
     return Segment(q=q, qd=qd, qdd=qdd, **document)
 
 
 _TOLD_AS_THEY_ARE = (TypeError, ValueError)
-"""What a constructor says that is called with options it does not have."""
+"""Exceptions that a driver constructor raises if called with unknown options; they are
+transferred unchanged."""
 
 _TRACEBACK_LINES = 6
 
 _MOST_CHARACTERS = 4000
-"""Characters of a message at most: the answer to a stop is one packet."""
+"""Maximum length of an error message in characters, because the answer to a stop request is a
+single packet."""
 
 
 def error_document(error: BaseException, doing: str) -> dict[str, str]:
-    """An error as it crosses the line: the closest class of `hil.core.errors`, message and hint.
+    """Return an error as a document: nearest class of `hil.core.errors`, message and hint.
 
     Args:
-        error: What a driver raised.
-        doing: In which of its members.
+        error: Exception raised by a driver.
+        doing: Name of the driver method that raised the exception.
     """
     if isinstance(error, HilError):
-        # A driver's own subclass is unknown on the other side; what it specialises is not.
+        # The other side does not know subclasses of the driver, but knows their base classes.
         kind = next(k.__name__ for k in type(error).__mro__ if k.__module__ == errors.__name__)
         return {
             "kind": kind,
@@ -360,7 +372,10 @@ def error_document(error: BaseException, doing: str) -> dict[str, str]:
 
 
 def error_from(document: Mapping[str, Any]) -> Exception:
-    """The error that `error_document` wrote; an unknown class becomes `RobotError`."""
+    """Return the error for a document that `error_document` created.
+
+    An error of an unknown class becomes a `RobotError`.
+    """
     name, message, hint = (str(document[key]) for key in ("kind", "message", "hint"))
     for plain in _TOLD_AS_THEY_ARE:
         if name == plain.__name__:
@@ -372,14 +387,16 @@ def error_from(document: Mapping[str, Any]) -> Exception:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a driver says about its robot.
+    """Properties of a robot, as the driver reports them.
 
     Attributes:
-        capabilities, limits: Known before and after connecting.
-        topics, resource, address: None when the driver does not opt into them.
-        identity: None before connecting.
-        checks: Whether it looks at itself before it moves.
-        speed_scaling: Whether it reports how much slower than commanded it moves.
+        capabilities, limits: Capabilities and limits of the robot, known before and after
+            connecting.
+        topics, resource, address: Values of optional members of the driver; None if the driver
+            lacks a member.
+        identity: Identity of the robot; None before the robot is connected.
+        checks: Whether the driver implements the protocol `HasChecks`.
+        speed_scaling: Whether the driver reports the ratio of executed to commanded speed.
     """
 
     capabilities: Capabilities
@@ -396,7 +413,7 @@ _ARRAYS = ("q_min", "q_max", "qd_max", "qdd_max", "effort_max")
 
 
 def facts_document(robot: Robot, *, connected: bool) -> dict[str, Any]:
-    """The facts of a robot, ready for JSON."""
+    """Return the properties of a robot as a JSON document."""
     limits = robot.limits
     return {
         "capabilities": asdict(robot.capabilities),
@@ -426,10 +443,10 @@ def _topic_document(topic: Topic) -> dict[str, Any]:
 
 
 def facts_from(document: Mapping[str, Any]) -> Facts:
-    """The other half of `facts_document`.
+    """Return the robot properties for a document that `facts_document` created.
 
     Raises:
-        RobotConnectionError: It is no such document.
+        RobotConnectionError: The document of robot properties is invalid.
     """
     with understood():
         topics, identity = document["topics"], document["identity"]

@@ -1,8 +1,9 @@
-"""Leases: one process per robot, freed by its death.
+"""Leases: a lease gives one process exclusive access to a robot until the process exits.
 
-A lease is a file per robot in `$HIL_LEASES`, by default in a folder of this user's in `/tmp`, which
-unlike `$XDG_RUNTIME_DIR` is the same one in a session, under cron and after logging out. It is
-locked while held, says who holds it, and is touched every second (`hil.core.lock_file`).
+A lease is a file for one robot in the folder `$HIL_LEASES`. The default folder of leases is a
+folder of the user in `/tmp`, which, unlike `$XDG_RUNTIME_DIR`, is the same in a session, under cron
+and after logging out. The lease file is locked while a process uses the robot, contains the name of
+the holder, and is touched every second (`hil.core.lock_file`).
 """
 
 from __future__ import annotations
@@ -35,16 +36,18 @@ TRY_EVERY_S = 0.2
 
 
 def resource_of(robot: Robot, *, name: str, driver: str, station: str) -> str:
-    """What no two processes may drive at once; empty for a robot that is private to its process.
+    """Return the name of the exclusive resource of a robot.
+
+    The name is empty for a robot that only this process can access.
 
     Args:
-        robot: Need not be connected.
-        name: Of the robot in its station.
-        driver: Name of its driver.
-        station: The station's file, or what it is called.
+        robot: Robot whose resource is named; it need not be connected.
+        name: Name of the robot in its station.
+        driver: Name of the driver of the robot.
+        station: Path of the station file, or name of the station.
 
     Raises:
-        SpecError: The station is named as a file that is not there.
+        SpecError: `station` is a file name, but the file does not exist.
     """
     if isinstance(robot, HasResource):
         return robot.resource
@@ -54,30 +57,33 @@ def resource_of(robot: Robot, *, name: str, driver: str, station: str) -> str:
 
 
 def _same_everywhere(station: str) -> str:
-    """The station's file by its whole path, from whatever folder it was named."""
+    """Return the absolute path of a station file, independent of the working directory."""
     file = Path(station)
     if file.is_file() or file.is_absolute():
         return str(file.resolve())
     if file.suffix in (".yaml", ".yml"):
-        # By its bare name it would be another station than the one it is in its own folder.
+        # The bare name would denote a different station than in the folder of the file.
         raise SpecError(
             f"there is no station file {station} in {Path.cwd()}",
-            hint="give its whole path, such as Path(__file__).with_name('bench.yaml')",
+            hint="pass its full path, such as Path(__file__).with_name('bench.yaml')",
         )
     return station
 
 
 def leases_folder() -> Path:
-    """Where leases are kept: `$HIL_LEASES`, or `hil-<user id>` in the system's folder for such."""
+    """Return the folder of leases: `$HIL_LEASES`, or `hil-<user id>` in the temporary folder."""
     if named := os.environ.get("HIL_LEASES"):
         return Path(named)
-    # Not $TMPDIR: processes that are to see each other's leases may have different ones.
+    # Not $TMPDIR, because processes that share leases possibly have different values of it.
     system = Path("/tmp") if os.name == "posix" else Path(tempfile.gettempdir())  # noqa: S108
     return system / f"hil-{os.getuid()}"
 
 
 def lease_path(resource: str) -> Path:
-    """The file of a resource; its name is readable, and another one for every resource."""
+    """Return the lease file of a resource.
+
+    The file name is readable and unique for every resource.
+    """
     readable = re.sub(r"[^a-z0-9.]+", "-", resource.lower()).strip("-.")[:48]
     digest = hashlib.sha256(resource.encode()).hexdigest()[:8]
     return leases_folder() / f"{readable}-{digest}{SUFFIX}"
@@ -85,24 +91,28 @@ def lease_path(resource: str) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """The right to drive one robot, held by this process.
+    """Lease that this process holds: exclusive access to one robot.
 
     Attributes:
-        resource: What is held; empty for a robot that needs no lease.
-        file: The file held for it.
+        resource: Name of the exclusive resource; empty for a robot that needs no lease.
+        file: The locked lease file.
     """
 
     resource: str
     file: LockFile | None = None
 
     def note_run(self, run: Path) -> None:
-        """Let others see which run the robot is busy with."""
+        """Write the run that uses the robot into the lease file, as information for others.
+
+        Other processes report this run when the robot is in use.
+        """
         if self.file is not None:
-            with contextlib.suppress(OSError):  # it is for people to read, and no reason to stop
+            # the note is only informative, so a failure is ignored
+            with contextlib.suppress(OSError):
                 self.file.update(run=str(run.resolve()))
 
     def release(self) -> None:
-        """Let the robot go. Idempotent."""
+        """Release the lease. Idempotent."""
         if self.file is not None:
             self.file.release()
 
@@ -127,46 +137,49 @@ def leased(
     wait_s: float = 0.0,
     tell: Callable[[str], object] = lambda text: None,
 ) -> Lease:
-    """Take the lease of a robot; a context manager that lets it go.
+    """Acquire the lease of a robot; the returned context manager releases the lease.
 
     Args:
-        robot: Need not be connected.
-        name: Of the robot in its station.
-        driver: Name of its driver.
-        station: The station's file, or what it is called.
-        wait_s: How long to wait for somebody else to let it go [s].
-        tell: Is told once who is waited for.
+        robot: Robot to be leased; it need not be connected.
+        name: Name of the robot in its station.
+        driver: Name of the driver of the robot.
+        station: Path of the station file, or name of the station.
+        wait_s: Maximum time to wait until the present holder releases the robot [s].
+        tell: Callback that receives one message about the present holder of the lease.
 
     Raises:
-        RobotConnectionError: Another process holds the robot, or leases cannot be kept.
-        SpecError: See `resource_of`.
+        RobotConnectionError: A different process uses the robot, or leases cannot be stored.
+        SpecError: The resource of the robot cannot be named, see `resource_of`.
     """
     resource = resource_of(robot, name=name, driver=driver, station=station)
     if not resource:
         return Lease("")
     about = {"resource": resource, "robot": name, "driver": driver, "station": station, "run": ""}
-    deadline, told = time.monotonic() + wait_s, False
+    deadline, notified = time.monotonic() + wait_s, False
     while isinstance(taken := _take(resource, about), Holder):
         held = f"robot {name} is held by {taken}"
         if time.monotonic() >= deadline:
             waited = f", still after {wait_s:g} s" if wait_s else ""
-            raise RobotConnectionError(held + waited, hint=_who_and_what(station, wait_s))
-        if not told:
+            raise RobotConnectionError(held + waited, hint=_hint_for_held_robot(station, wait_s))
+        if not notified:
             tell(f"{held}; waiting up to {wait_s:g} s")
-            told = True
+            notified = True
         time.sleep(TRY_EVERY_S)
     return Lease(resource, taken)
 
 
-def _who_and_what(station: str, waited_s: float) -> str:
-    """What to do about a held robot; without its station `hil robots` lists the built-in bench."""
+def _hint_for_held_robot(station: str, waited_s: float) -> str:
+    """Return the hint for a robot that a different process uses.
+
+    The command in the hint, `hil robots`, lists the built-in bench if no station file is passed.
+    """
     file = f" --station {shlex.quote(station)}" if Path(station).is_file() else ""
-    wait = "" if waited_s else "; wait until it is let go: hil run … --wait 600"
-    return f"who holds what: hil robots{file}{wait}"
+    wait = "" if waited_s else "; wait until it is released: hil run … --wait 600"
+    return f"list the robots and their holders: hil robots{file}{wait}"
 
 
 def held_leases() -> list[Holder]:
-    """Everything that is held by processes whose leases are kept in the same folder."""
+    """Return the holders of all leases that are in the same folder."""
     try:
         files = sorted(leases_folder().glob(f"*{SUFFIX}"))
     except OSError:
@@ -175,7 +188,7 @@ def held_leases() -> list[Holder]:
 
 
 def lease_holder(resource: str) -> Holder | None:
-    """Who holds a resource, None when nobody does."""
+    """Return the holder of the lease of a resource; None if the resource is free."""
     return holder_of(lease_path(resource))
 
 
@@ -185,8 +198,8 @@ def _take(resource: str, about: dict[str, str]) -> LockFile | Holder:
         return hold(lease_path(resource), about, shared=_is_shared())
     except OSError as error:
         raise RobotConnectionError(
-            f"cannot keep a lease in {leases_folder()}: {error.strerror or error}",
-            hint="give a folder that may be written to: HIL_LEASES=FOLDER",
+            f"cannot store a lease in {leases_folder()}: {error.strerror or error}",
+            hint="choose a writable folder: HIL_LEASES=FOLDER",
         ) from error
 
 
@@ -202,7 +215,7 @@ def _make_folder() -> None:
     with contextlib.suppress(FileExistsError):
         folder.mkdir(mode=0o700)
     found = folder.lstat()
-    # Anybody may make a folder of that name; leases are kept in none but our own.
+    # Every user can create a folder of this name, so the owner must be checked.
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
-        raise PermissionError("it belongs to somebody else")
+        raise PermissionError("it belongs to a different user")
     folder.chmod(0o700)

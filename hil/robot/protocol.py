@@ -1,9 +1,9 @@
-"""What a robot is to `hil`: ten members, blocks of samples, no knowledge of the engine.
+"""Robot interface of `hil`: ten members, blocks of samples, independent of the engine.
 
-`Robot` is what every driver implements. The protocols named `Has…`, `Listens`, `ReadsLogs` and
-`TorqueControlled` are opted into by having their members. Decision record 0001 checks the protocol
-on paper against UR moveJ and servoJ, CiA 402 CSP, upload-and-play over ADS, a virtual clock, and
-drivers that live in a child process.
+Every driver implements the protocol `Robot`. The protocols named `Has…`, `Listens`, `ReadsLogs` and
+`TorqueControlled` are optional; a driver implements an optional protocol by having the members of
+the protocol. Decision record 0001 checks the robot interface on paper for UR moveJ and servoJ, CiA
+402 CSP, upload-and-play over ADS, a virtual clock, and drivers in a child process.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ClockKind = Literal["wall", "virtual"]
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Which robot this is; stored in `start.json` and compared on resume."""
+    """Identity of a robot; stored in `start.json` and compared when a run is resumed."""
 
     model: str
     serial: str
@@ -35,15 +35,16 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What the robot offers, known without moving it.
+    """Capabilities of a robot, known without moving the robot.
 
     Attributes:
-        joint_names: Names in the order of every array, length n.
+        joint_names: Names of the n joints, in the order of the elements of every array.
         rate_hz: Rate of state samples and of commanded trajectories [Hz].
-        effort_kind: Whether `effort` is a motor current [A] or a torque [N·m].
-        drive_gains: Torque per current [N·m/A] per joint, empty when unknown.
-        drive_gains_source: Where the gains come from.
-        clock: `virtual` robots advance only when read; time-outs then count device time.
+        effort_kind: Physical quantity of `effort`: motor current [A] or torque [N·m].
+        drive_gains: Drive gains, torque per current [N·m/A] per joint; empty if unknown.
+        drive_gains_source: Source of the values of the drive gains.
+        clock: Kind of the device clock. A robot with a `virtual` clock advances only when it is
+            read, and time-outs then refer to device time.
     """
 
     joint_names: tuple[str, ...]
@@ -56,30 +57,33 @@ class Capabilities:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Joint limits the controller enforces; a plan may be stricter, never wider."""
+    """Joint limits that the controller enforces; the limits of a plan must not be wider."""
 
     q_min: FloatArray
     q_max: FloatArray
     qd_max: FloatArray
     qdd_max: FloatArray
     effort_max: FloatArray
-    """Torque limits [N·m]; infinite or NaN where unknown, which is then not watched."""
+    """Torque limits of the joints [N·m]; infinite or NaN for an unknown limit, which is not
+    monitored."""
     payload_max_kg: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """One piece of motion, ready to execute: sampled set-points at the robot's own rate.
+    """Segment of a motion that is ready to execute: set-points sampled at the rate of the robot.
 
-    The last set-point is held until the next segment starts. A driver that plans on its own
-    (moveJ) may use `q[-1]`, `speed` and `acceleration` instead of the samples.
+    The robot holds the last set-point of a segment until the next segment starts. A driver with its
+    own motion planning (moveJ) can use `q[-1]`, `speed` and `acceleration` instead of the sampled
+    set-points.
 
     Attributes:
-        index: Plan step index, echoed in the `segment` field of every state row.
-        kind: `move` (rest to rest), `trajectory` (follow exactly) or `hold`.
+        index: Index of the plan step, copied to the field `segment` of every state row.
+        kind: Kind of motion: `move` (from rest to rest), `trajectory` (follow the set-points
+            exactly) or `hold`.
         q, qd, qdd: Set-points, each (N, n); N ≥ 1, and N = 1 for `hold`.
-        speed: Largest joint speed on the way [rad/s].
-        acceleration: Largest joint acceleration on the way [rad/s²].
+        speed: Maximum joint speed of the segment [rad/s].
+        acceleration: Maximum joint acceleration of the segment [rad/s²].
     """
 
     index: int
@@ -93,123 +97,153 @@ class Segment:
 
 @runtime_checkable
 class Robot(Protocol):
-    """The ten members every driver implements.
+    """Interface with ten members that every driver implements.
 
-    Contract: `connect`, `stop` and `close` are idempotent; `stop` returns within 100 ms of wall
-    time with the arm decelerating or at rest, works from every state and never raises because the
-    robot is already stopped; a fault in the background surfaces in the next `read`.
+    Contract of every driver: `connect`, `stop` and `close` are idempotent. The method `stop`
+    returns within 100 ms of wall time with the arm decelerating or static, works in every state and
+    never raises an error because the robot has already stopped. A fault that occurs between two
+    calls is raised by the next call of `read`.
     """
 
     @property
     def identity(self) -> Identity:
-        """Who this is; raises `RobotConnectionError` before `connect`."""
+        """Identity of the connected robot.
+
+        Raises `RobotConnectionError` if the robot has not been connected yet.
+        """
 
     @property
     def capabilities(self) -> Capabilities:
-        """Rates, names and units; available before `connect`."""
+        """Rates, joint names and units of the robot; available before `connect`."""
 
     @property
     def limits(self) -> Limits:
-        """Joint limits: the maker's before `connect`, the controller's own after it."""
+        """Joint limits from the manufacturer; after `connect` from the controller."""
 
     def connect(self) -> None:
-        """Open the connection and start receiving state. Raises `RobotConnectionError`."""
+        """Open the connection to the robot and start receiving its state.
+
+        Raises `RobotConnectionError`.
+        """
 
     def set_payload(self, payload: Payload) -> Payload:
-        """Tell the controller about the load and return what it reads back."""
+        """Declare the payload to the controller and return the values that it reads back."""
 
     def prepare(self, segment: Segment) -> None:
-        """Hand over the next segment (upload, validate). Raises `CommandRefused`."""
+        """Transfer the next segment to the controller, which uploads and validates it.
+
+        Raises `CommandRefused`.
+        """
 
     def start(self) -> None:
-        """Begin the prepared segment; it must start where the last one ended."""
+        """Start the prepared segment, which must begin where the previous segment ends."""
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
-        """All state rows since the last call, at least one, in order, of `state_dtype(n)`.
+        """Return all state rows since the last call in order, at least one row.
+
+        The dtype of the rows is `state_dtype(n)`.
 
         Raises:
-            RobotTimeout: No sample arrived within `timeout_s` (device time on virtual clocks).
+            RobotTimeout: No sample arrived within `timeout_s` (device time for robots with a
+                virtual clock).
             RobotFault: The controller reports a fault.
-            RobotConnectionError: The connection is gone.
+            RobotConnectionError: The connection to the robot is lost.
         """
 
     def stop(self) -> None:
-        """Bring the arm to rest now, on a controlled ramp."""
+        """Stop the arm immediately, on a controlled ramp."""
 
     def close(self) -> None:
-        """Stop if need be and release the robot."""
+        """Stop the arm if necessary and release the robot."""
 
 
 @runtime_checkable
 class HasTopics(Protocol):
-    """What a robot also offers when it records more than the base record (raw drive integers, …).
+    """Optional interface of a robot that records further topics (raw drive integers, …).
 
-    A robot opts in by having these two members; the engine drains them after every `read`.
+    A robot implements this interface by having the members `topics` and `drain`; the engine calls
+    `drain` after every `read`.
     """
 
     @property
     def topics(self) -> Sequence[Topic]:
-        """The further topics, known before `connect`."""
+        """Topics recorded in addition to the base record, known before `connect`."""
 
     def drain(self) -> Mapping[str, StructArray]:
-        """Rows per topic name since the last call, in order; topics without news are left out."""
+        """Return the rows of each topic since the last call, in order, by topic name.
+
+        Topics that have no new rows are omitted.
+        """
 
 
 @runtime_checkable
 class HasResource(Protocol):
-    """What a robot also offers when its address says which robot it is, whatever it is called.
+    """Optional interface of a robot that is identified by its address and not by its name.
 
-    Two processes may not drive one resource at once (`hil.robot.lease`).
+    Two processes must not command the same resource at the same time (`hil.robot.lease`).
     """
 
     @property
     def resource(self) -> str:
-        """Such as `ur://192.168.0.5`; known before `connect`, the same from every station file."""
+        """Address such as `ur://192.168.0.5`, available before `connect`.
+
+        The robot address does not depend on the station file.
+        """
 
 
 @runtime_checkable
 class HasSpeedScaling(Protocol):
-    """What a robot also offers when its controller can execute motions slower than commanded.
+    """Optional interface of a robot whose controller can execute motions slower than commanded.
 
-    Such as by the speed slider of a teach pendant. The interlock `speed_scaling` watches it.
+    An example of such a speed reduction is the speed slider of a teach pendant. The interlock
+    `speed_scaling` monitors the ratio of executed to commanded speed.
     """
 
     @property
     def speed_scaling(self) -> float:
-        """Executed over commanded speed, the lowest since the `read` before the last one.
+        """Lowest ratio of executed to commanded speed since the call of `read` before the last.
 
-        1 is as commanded, NaN is not known; never raises.
+        The ratio is 1 for motions as commanded, and NaN if it is unknown. Reading this property
+        never raises an error.
         """
 
 
 @runtime_checkable
 class Listens(Protocol):
-    """What a robot also offers when it can be recorded while somebody else drives it.
+    """Optional interface of a robot that can be recorded while a different program drives it.
 
-    `hil record` uses it: `listen`, then `read` and `drain` (if it has topics) until the end, then
-    `close`. Nothing is commanded, no program is uploaded or ended, and nothing is taken that
-    another client may need. While listening, `read` gives rows with the `FAULT` bit instead of
-    raising `RobotFault`: whoever drives the robot deals with that.
+    `hil record` calls `listen`, then `read` and `drain` (if the robot has topics) until the end of
+    the recording, then `close`. A listening driver sends no command, uploads or ends no program,
+    and uses no connection that a different client possibly needs. While listening, `read` returns
+    rows with the `FAULT` bit instead of raising `RobotFault`, because the program that moves the
+    robot handles faults.
     """
 
     def listen(self) -> None:
-        """Connect to be told, in place of `connect`; idempotent. Raises `RobotConnectionError`."""
+        """Connect to the robot for listening only, instead of calling `connect`.
+
+        Idempotent.
+
+        Raises:
+            RobotConnectionError: The connection to the robot cannot be opened.
+        """
 
     @property
     def program_running(self) -> bool:
-        """Whether a program was running (or paused) in the newest row that `read` has given."""
+        """Whether a robot program was running or paused at the newest row that `read` returned."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at.
+    """Result of one check that the robot performs itself.
 
     Attributes:
-        name: Short and lower-case, such as `joint-limits`; a preflight calls it `robot-…`.
-        passed: False when the robot should not move.
-        message: One sentence with the figures in it.
-        measured, limit: What was found and what would have been fine, in SI units.
-        hint: What to do about a failure.
+        name: Short lower-case name, such as `joint-limits`, which preflight displays as
+            `robot-joint-limits`.
+        passed: Whether the robot is allowed to move according to the check.
+        message: One sentence with the measured and allowed values.
+        measured, limit: Value measured by the check, and allowed value, both in SI units.
+        hint: Action that removes the cause of the failure.
     """
 
     name: str
@@ -222,40 +256,45 @@ class Finding:
 
 @runtime_checkable
 class HasChecks(Protocol):
-    """What a robot also offers when its controller can be asked whether it may be moved.
+    """Optional interface of a robot whose controller can report whether motion is allowed.
 
-    A preflight asks after `connect` and after the first load was declared; what did not pass keeps
-    the robot from moving and cannot be waived.
+    Preflight calls the robot checks after `connect` and after the declaration of the first load. A
+    failed robot check prevents motion and cannot be waived.
     """
 
     def checks(self) -> Sequence[Finding]:
-        """Look, now; moves nothing. Raises `RobotError` when the controller cannot be asked."""
+        """Run the robot checks without moving the arm.
+
+        Raises `RobotError` if the controller does not respond.
+        """
 
 
 @runtime_checkable
 class HasReach(Protocol):
-    """What a robot also offers when it can be asked from afar whether it is there.
+    """Optional interface of a robot whose reachability over the network can be tested.
 
-    `hil doctor --station` asks without `connect` and without the lease: nothing is taken that
-    another client may need, nothing moves, and every question has a limit of some seconds.
+    `hil doctor --station` calls the reachability tests without `connect` and without the lease of
+    the robot. The reachability tests use no connection that a different client possibly needs,
+    cause no motion, and each have a time limit of a few seconds.
     """
 
     def reach(self) -> Sequence[Finding]:
-        """Ask, now; never raises because nobody answers."""
+        """Run the reachability tests; a robot that does not answer raises no exception."""
 
 
 UNKNOWN = "unknown"
-"""Text of the address of a real robot whose driver states none."""
+"""Address text that is displayed for a real robot whose driver reports no address."""
 
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where the commands of a robot go.
+    """Destination of the commands that a driver sends.
 
     Attributes:
-        text: For people, such as `192.168.0.5` or `socketcan can0`.
-        real: Whether something outside this computer may hear them: such a robot moves only after
-            a confirmation. False for mocks, loopback addresses and virtual buses.
+        text: Address as readable text, such as `192.168.0.5` or `socketcan can0`.
+        real: Whether a device outside this computer can receive the commands; such a device moves
+            only after a confirmation by the operator. The value of `real` is False for mock robots,
+            loopback addresses and virtual buses.
     """
 
     text: str
@@ -264,18 +303,21 @@ class Address:
 
 @runtime_checkable
 class HasAddress(Protocol):
-    """What a robot also offers when it knows, before `connect`, where its commands go.
+    """Optional interface of a robot that knows the destination of its commands before `connect`.
 
-    A robot in wall time without it counts as real.
+    A robot with a wall clock and without this interface counts as real.
     """
 
     @property
     def address(self) -> Address:
-        """From the options alone: no name is resolved and nothing is connected."""
+        """Address of the robot, derived from the driver options without a connection.
+
+        No name is resolved.
+        """
 
 
 def address_of(robot: Robot) -> Address:
-    """Return where the commands of a robot go; it need not be connected."""
+    """Return the destination of the commands of a robot, which need not be connected."""
     if isinstance(robot, HasAddress):
         return robot.address
     if robot.capabilities.clock == "virtual":
@@ -284,9 +326,10 @@ def address_of(robot: Robot) -> Address:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host is this computer by its very text: 127.0.0.0/8, ::1, localhost.
+    """Return whether the text of a host denotes this computer: 127.0.0.0/8, ::1, localhost.
 
-    Other names may lead here, too, but who resolves them may change; they count as elsewhere.
+    Host names other than the known loopback names can refer to this computer as well, but their
+    resolution can change, so that they do not count as loopback.
     """
     if host.lower() == "localhost":
         return True
@@ -297,65 +340,71 @@ def is_loopback(host: str) -> bool:
 
 
 class RecordedLog(Protocol):
-    """A log, opened."""
+    """Open log file of a bus."""
 
     @property
     def topics(self) -> Sequence[Topic]:
-        """The further topics that its blocks may hold rows of."""
+        """Topics in addition to the base record for which the blocks can contain rows."""
 
     def blocks(self) -> Iterator[tuple[StructArray, Mapping[str, StructArray]]]:
-        """State rows and rows of further topics, in order, as the driver gave them when it ran.
+        """Yield state rows and rows of further topics in the order in which the driver delivers.
 
         Raises:
-            DataError: The log is damaged, or was not written on this robot's bus.
+            DataError: The log is damaged, or the log was not recorded on the bus of this robot.
         """
 
 
 @runtime_checkable
 class ReadsLogs(Protocol):
-    """What a driver's class also offers when a log of its bus holds all that a recording holds."""
+    """Optional interface of a driver class that can read robot states from a log of its bus."""
 
     @classmethod
     def read_log(
         cls, log: Path, model: str, options: Mapping[str, Any], robot: Mapping[str, Any]
     ) -> RecordedLog:
-        """Open a log; nothing is connected to.
+        """Open a log file of a bus without connecting to a robot.
 
         Args:
-            log: The file.
-            model: The station's.
-            options: The station's, as for the driver itself.
-            robot: `start.json: robot` of the run that the log is of: who answered, and what the
-                drives had told about themselves.
+            log: Path of the log file.
+            model: Arm model named in the station.
+            options: Driver options in the station.
+            robot: Entry `robot` in `start.json` of the logged run: identity of the robot and
+                properties reported by the drives.
 
         Raises:
-            DataError: It cannot be read, or the run says too little about the robot.
+            DataError: The log cannot be read, or the logged run contains too little information
+                about the robot.
         """
 
 
 @runtime_checkable
 class TorqueControlled(Protocol):
-    """What a simulated robot also offers when its joints can be driven by torque and pushed.
+    """Optional interface of a simulated robot with torque-driven joints and external torques.
 
-    For simulated arms alone: `hil` commands torque to no real robot, whatever that could do.
-    `hil try-out` uses it: `command_torque`, `push`, `read`, one sample after the other.
+    This interface is only for simulated arms: `hil` never commands torque to a real robot, even if
+    the robot supports torque commands. `hil simulate` calls `command_torque`, `push` and `read`
+    sample by sample.
 
     Attributes:
-        simulated: True on the class itself, and only where no arm can move. Methods of these
-            names are not enough: drivers of real arms may have them for reasons of their own.
+        simulated: Constant True, set on the class itself, and only if no real arm can move. The
+            method names alone do not identify a simulated arm, because drivers of real arms
+            possibly have methods with these names.
     """
 
     simulated: ClassVar[bool]
 
     def command_torque(self, torque: FloatArray | None) -> None:
-        """Drive the joints by torque (n,) [N·m] until told otherwise; None brakes and holds."""
+        """Apply the drive torque (n,) [N·m] to the joints until the next command.
+
+        If `torque` is None, the brakes are applied and hold the arm.
+        """
 
     def push(self, torque: FloatArray) -> None:
-        """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
+        """Apply an external joint torque (n,) [N·m] from now on; zeros end the external torque."""
 
 
 def is_simulated(driver: object) -> bool:
-    """Whether a robot, or its driver before it is opened, says that torque moves no real arm."""
+    """Return whether a robot or its driver class declares that no real arm moves."""
     return getattr(driver, "simulated", None) is True and all(
         hasattr(driver, member) for member in ("command_torque", "push")
     )

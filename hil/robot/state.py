@@ -1,10 +1,11 @@
-"""The rows of a robot: the base record and further topics, ROS 2 messages as they lie in memory.
+"""State rows of a robot: the base record and further topics, in the format of ROS 2 messages.
 
-`state_dtype` is one numpy dtype from the driver to the disk and back; drivers may record further
-`Topic`s. Doubles come first and 32-bit integers last (decision record 0002): a packed little-endian
-row behind the four bytes `00 01 00 00` is a valid CDR message as long as every field lies at a
-multiple of its own size. So a row goes from the driver to the disk, and back, without being looked
-at. (CDR: OMG DDSI-RTPS 2.3 §10, plain XCDR1; ROS 2 message definitions: design.ros2.org.)
+The numpy dtype `state_dtype` is used from the driver to the disk and back; drivers can record
+further topics (`Topic`). In a state row, doubles come first and 32-bit integers last (decision
+record 0002): a packed little-endian row after the four bytes `00 01 00 00` is a valid CDR message
+if every field is at a multiple of its own size. A row therefore passes from the driver to the disk
+and back without conversion. (CDR: OMG DDSI-RTPS 2.3 §10, plain XCDR1; ROS 2 message definitions:
+design.ros2.org.)
 """
 
 from __future__ import annotations
@@ -25,24 +26,25 @@ STATE_SCHEMA_VERSION = 1
 
 
 class Status(IntFlag):
-    """Bits of the `status` field."""
+    """Bits of the field `status` of a state row."""
 
     MOVING = 1
-    """The commanded motion of the segment is still running."""
+    """Bit that is set while the commanded motion of the segment is still running."""
     HOLDING = 2
-    """The commanded position is constant."""
+    """Bit that is set while the commanded position is constant."""
     FAULT = 4
-    """The controller reports a fault; `fault_code` says which."""
+    """Bit that is set if the controller reports a fault, see `fault_code`."""
     MASKED = 8
-    """The sample must not be used for identification (set-point ignored, limit active)."""
+    """Bit that is set if the sample must not be used for identification (set-point ignored,
+    limit active)."""
     SLOWED = 16
-    """The sample belongs to a measurement at another speed than planned; set by the engine."""
+    """Bit that the engine sets if the measurement was made at a different speed than planned."""
 
 
 def state_dtype(n_joints: int) -> np.dtype[Any]:
-    """The dtype of the base robot record for `n_joints` joints.
+    """Return the dtype of the base robot record for `n_joints` joints.
 
-    Fields (SI units; NaN where the robot cannot provide a quantity):
+    Fields of the base robot record (SI units; NaN if the robot cannot provide a quantity):
 
     ========================= ========= ====================================================
     device_time               s         controller clock; gaps and duplicates are judged on it
@@ -67,14 +69,15 @@ def state_dtype(n_joints: int) -> np.dtype[Any]:
 
 
 def n_joints_of(block: StructArray) -> int:
-    """Number of joints of a block of state rows."""
+    """Return the number of joints of a block of state rows."""
     return int(block.dtype["q"].shape[0])
 
 
 STATE_TOPIC = "/robot/state"
 
 TARGET_TOPIC = "/robot/torque_target"
-"""The controller's own torques beside its current commands, where both were logged."""
+"""Name of the topic of the torque set-points of a controller, if they are logged in addition to
+current set-points."""
 
 _MESSAGE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 
@@ -87,20 +90,21 @@ ROS_OF_NUMPY = {
 
 @dataclass(frozen=True)
 class Topic:
-    """What is recorded under one name, and how to read it years later.
+    """Definition of a recorded topic, sufficient to read the recording years later.
 
     Attributes:
         name: Topic name, such as `/robot/state` or `/can/raw`.
-        dtype: Packed little-endian record; its first fields are `device_time` and `host_time`,
-            both float64 [s].
-        rate_hz: Nominal sample rate by the device clock [Hz]; gaps are judged against it.
-        clock: Which clock `device_time` counts: `controller`, `virtual`, `host`, …
-        units: Field name → unit, as text; fields without a unit are left out.
-        schema_name: ROS 2 message name, `package/msg/Name`.
-        schema_version: Raised when a field changes its meaning; see decision record 0002.
+        dtype: Dtype of the packed little-endian rows; the first fields are `device_time` and
+            `host_time`, both float64 [s].
+        rate_hz: Nominal sample rate by the device clock [Hz], with which gaps are detected.
+        clock: Clock that determines `device_time`: `controller`, `virtual`, `host`, ….
+        units: Unit of each field, as text by field name; fields without a unit are omitted.
+        schema_name: Name of the ROS 2 message, `package/msg/Name`.
+        schema_version: Version of the message, increased if a field changes its meaning; see
+            decision record 0002.
 
     Raises:
-        RecordingError: The dtype is no CDR message, or a name is not one ROS 2 accepts.
+        RecordingError: The dtype is not a valid CDR message, or a name is not allowed in ROS 2.
     """
 
     name: str
@@ -117,22 +121,22 @@ class Topic:
 
     def _problem(self) -> tuple[str, str] | None:
         if problem := cdr_problem(self.dtype):
-            return problem, "order the fields by size: float64 first, then int32, then smaller"
+            return problem, "sort the fields by size: float64 first, then int32, then smaller"
         names = self.dtype.names or ()
         times = [("device_time", "<f8"), ("host_time", "<f8")]
         if [(name, self.dtype[name].str) for name in names[:2]] != times:
-            return "the record lacks its times", "begin it with float64 device_time and host_time"
+            return "the record lacks time stamps", "begin with float64 device_time and host_time"
         if not 0 < self.rate_hz < math.inf:
-            return f"the rate {self.rate_hz} Hz is no rate", "give the nominal sample rate"
+            return f"invalid rate: {self.rate_hz} Hz", "pass the nominal sample rate in Hz"
         if not _MESSAGE_NAME.fullmatch(self.schema_name):
-            return f"{self.schema_name!r} is no ROS 2 message name", "use package/msg/Name"
+            return f"{self.schema_name!r} is not a ROS 2 message name", "use package/msg/Name"
         if unknown := set(self.units) - set(names):
-            return f"units name unknown fields {sorted(unknown)}", f"it has {', '.join(names)}"
+            return f"units for unknown fields {sorted(unknown)}", f"fields: {', '.join(names)}"
         return None
 
     @property
     def schema_text(self) -> str:
-        """The ROS 2 message definition, one field a line with its unit as a comment."""
+        """ROS 2 message definition of the topic, one field per line with its unit as a comment."""
         return "".join(self._schema_line(name) for name in self.dtype.names or ())
 
     def _schema_line(self, name: str) -> str:
@@ -143,7 +147,7 @@ class Topic:
 
     @property
     def channel_metadata(self) -> dict[str, str]:
-        """What the MCAP channel says about the topic: version, rate, clock, units."""
+        """Metadata of the MCAP channel of the topic: version, rate, clock, units."""
         return {
             "schema_version": str(self.schema_version),
             "rate_hz": repr(float(self.rate_hz)),
@@ -152,7 +156,7 @@ class Topic:
         }
 
     def blank(self, rows: int) -> StructArray:
-        """Rows in which nothing is known yet: NaN in floating-point fields, 0 in integers."""
+        """Return rows without known values: NaN in floating-point fields, 0 in integer fields."""
         block = np.zeros(rows, self.dtype)
         for name in self.dtype.names or ():
             if self.dtype[name].base.kind == "f":
@@ -161,13 +165,13 @@ class Topic:
 
 
 def state_topic(n_joints: int, rate_hz: float, *, clock: str, effort_unit: str) -> Topic:
-    """The base robot record of an arm with `n_joints` joints.
+    """Return the topic of the base robot record of an arm with `n_joints` joints.
 
     Args:
         n_joints: Number of joints n.
         rate_hz: Rate of the state samples [Hz].
-        clock: Which clock `device_time` counts.
-        effort_unit: `A` or `N·m`, for `effort` and `effort_target`.
+        clock: Clock that determines `device_time`.
+        effort_unit: Unit of `effort` and `effort_target`: `A` or `N·m`.
     """
     units = {
         "device_time": "s", "host_time": "s (Unix time)",
@@ -187,12 +191,14 @@ def state_topic(n_joints: int, rate_hz: float, *, clock: str, effort_unit: str) 
 
 
 def torque_target_topic(n_joints: int, rate_hz: float, *, clock: str) -> Topic:
-    """What a controller that commands currents takes for its torques, row by row of the state.
+    """Return the topic of the torque set-points of a current-commanding controller.
+
+    The torque topic has one row per state row.
 
     Args:
         n_joints: Number of joints n.
         rate_hz: Rate of the samples [Hz].
-        clock: Which clock `device_time` counts.
+        clock: Clock that determines `device_time`.
     """
     fields: list[Any] = [("device_time", "<f8"), ("host_time", "<f8")]
     return Topic(
@@ -206,23 +212,23 @@ def torque_target_topic(n_joints: int, rate_hz: float, *, clock: str) -> Topic:
 
 
 CDR_HEADER = b"\x00\x01\x00\x00"
-"""Encapsulation header of plain little-endian CDR."""
+"""Encapsulation header that precedes plain little-endian CDR data."""
 
 _NUMPY_OF_ROS = {ros: code for code, ros in ROS_OF_NUMPY.items()}
 _FIELD_NAME = re.compile(r"[a-z]([a-z0-9]|_(?!_|$))*")
 
 
 def cdr_problem(dtype: np.dtype[Any]) -> str | None:
-    """Why a packed row of `dtype` is not a CDR message, or None when it is (XCDR1 alignment)."""
+    """Return why a packed row of `dtype` is not a CDR message (XCDR1); None if it is valid."""
     if dtype.names is None or dtype.fields is None:
         return "the dtype has no fields"
     end = 0
     for name in dtype.names:
         item, offset = dtype.fields[name][:2]
         if not _FIELD_NAME.fullmatch(name):
-            return f"{name!r} is no ROS 2 field name"
+            return f"{name!r} is not a ROS 2 field name"
         if item.base.str not in ROS_OF_NUMPY or len(item.shape) > 1:
-            return f"field {name!r} is {item}, which no fixed-size ROS 2 field can hold"
+            return f"field {name!r} is {item}, which is not a fixed-size ROS 2 field"
         if offset != end:
             return f"there are padding bytes before field {name!r}"
         if offset % item.base.itemsize:
@@ -236,10 +242,10 @@ _SCHEMA_LINE = re.compile(r"(\w+)(?:\[([1-9]\d{0,5})\])?\s+(\w+)")
 
 
 def dtype_of_schema(text: str) -> np.dtype[Any]:
-    """The dtype whose rows are the messages of a ROS 2 message definition.
+    """Return the dtype whose rows are the messages of a ROS 2 message definition.
 
     Raises:
-        DataError: Its messages differ in size (strings, sequences), are nested, or are padded.
+        DataError: The messages have no fixed size (strings, sequences), are nested, or are padded.
     """
     fields: list[Any] = []
     for line in text.splitlines():
@@ -256,11 +262,11 @@ def dtype_of_schema(text: str) -> np.dtype[Any]:
     except ValueError as error:
         raise DataError(f"the message definition is unusable: {error}") from None
     if problem := cdr_problem(dtype):
-        raise DataError(f"its messages are no packed rows: {problem}")
+        raise DataError(f"its messages are not packed rows: {problem}")
     return dtype
 
 
 def cdr_string(text: str) -> bytes:
-    """A CDR string, padded so that another 4-byte field may follow it."""
+    """Return an encoded CDR string, padded so that a further 4-byte field can follow."""
     raw = text.encode() + b"\0"
     return struct.pack("<I", len(raw)) + raw + b"\0" * (-len(raw) % 4)

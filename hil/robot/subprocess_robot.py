@@ -1,11 +1,14 @@
-"""A robot whose driver lives in a process of its own: it may hang or die, and the arm is stopped.
+"""Robot whose driver runs in a separate process: the arm stops if the driver hangs or exits.
 
-Decision record 0014 says why, what happens when either side goes, and what a call costs.
+Decision record 0014 explains the reasons for a separate driver process, the behavior if either
+process exits, and the cost of a call.
 
-`RobotProcess` is the robot that `hil` sees. `DriverProcess` is the child process and the two lines
-to it: calls, answered one after the other, and stops, which overtake them (`StopLine`). It prints
-into a file in memory, whose end goes into the error when it dies. `hil.robot.subprocess_server` is
-the other side. A child ends when its lines end, so it outlives neither this object nor `hil`.
+The class `RobotProcess` implements the robot interface for `hil`. The class `DriverProcess` is the
+child process with two connections: calls are answered one after the other, and stop requests
+(`StopLine`) overtake calls. The child process prints into a file in memory; if the child process
+exits unexpectedly, the error message contains the end of this output. The module
+`hil.robot.subprocess_server` contains the code of the child process. A child process exits when its
+connections are closed, so that it outlives neither its `DriverProcess` object nor `hil`.
 """
 
 from __future__ import annotations
@@ -57,32 +60,34 @@ from hil.robot.protocol import Address, Capabilities, Finding, Identity, Limits,
 from hil.robot.state import Topic
 
 OPEN_S, CONNECT_S, COMMAND_S, CLOSE_S = 60.0, 120.0, 30.0, 3.0
-"""How long the driver may take to be imported, to connect, to take a command, to close [s]."""
+"""Time limits for calls of a driver: import, connection, commands and closing [s]."""
 
 READ_GRACE_S = {"wall": 1.0, "virtual": 10.0}
-"""How much longer than its own time-out a read may take; a virtual clock may be slow [s]."""
+"""Additional time limit for a read beyond the time-out of the read [s], because virtual clocks
+can be slow."""
 
 
 class RobotProcess:
-    """Implements `hil.robot.Robot` by a driver in a child process; Linux only.
+    """Implementation of `hil.robot.Robot` with a driver in a child process; Linux only.
 
-    `stop` works while another thread waits in any other member, and from a signal handler. A
-    closed robot can be connected again, in a new process. What the driver opts into (`topics` and
-    `drain`, `resource`, `checks`) this robot has too, and else it has not.
+    The method `stop` can be called from a signal handler and while a different thread waits in any
+    other method. A closed robot can be connected again, in a new process. The optional members of
+    the driver (`topics` and `drain`, `resource`, `checks`) exist on the `RobotProcess` only if the
+    driver has them.
 
     Args:
-        driver: Name under `hil.drivers`, or `module:Class`.
-        name: The robot's name in its station.
-        model: A built-in arm, or a path.
-        options: The driver's own; what YAML can hold.
-        gravity_m_s2: For drivers that simulate: gravity in the base frame.
-        known: What the driver would say before it is connected; its process is started by
-            `connect` then, not now.
+        driver: Name of the driver under `hil.drivers`, or `module:Class`.
+        name: Name of the robot in its station.
+        model: Name of a built-in arm, or path of an arm description.
+        options: Options of the driver, with any values that YAML supports.
+        gravity_m_s2: Gravity in the base frame, for drivers that simulate an arm [m/s²].
+        known: Properties of the robot that the driver would report before connecting. If `known` is
+            set, the driver process is started in `connect` and not at construction.
 
     Raises:
-        PluginError: There is no such driver, it does not load, or the system is not Linux.
+        PluginError: The driver does not exist, cannot be loaded, or the system is not Linux.
         SpecError: The driver does not accept its options.
-        RobotError: Its process does not come up.
+        RobotError: The driver process does not start.
     """
 
     topics: Sequence[Topic]
@@ -112,7 +117,8 @@ class RobotProcess:
             "pythonpath": os.environ.get("PYTHONPATH"),
         }
         self._one_call = threading.Lock()
-        self._last_stop: object = None  # a new one with every stop: told apart without a lock
+        # replaced by every stop, so that stops are detected without a lock
+        self._last_stop: object = None
         self._identity: Identity | None = None
         self._process: DriverProcess | None = None
         if known is None:
@@ -122,28 +128,31 @@ class RobotProcess:
 
     @property
     def process(self) -> DriverProcess | None:
-        """Where the driver lives; None once closed."""
+        """Process in which the driver runs; None after `close`."""
         return self._process
 
     @property
     def identity(self) -> Identity:
-        """See `hil.robot.Robot`."""
+        """Identity of the robot, see `hil.robot.Robot`."""
         if self._identity is None:
             raise self._not_connected()
         return self._identity
 
     @property
     def capabilities(self) -> Capabilities:
-        """See `hil.robot.Robot`."""
+        """Capabilities of the robot, see `hil.robot.Robot`."""
         return self._capabilities
 
     @property
     def limits(self) -> Limits:
-        """See `hil.robot.Robot`."""
+        """Joint limits of the robot, see `hil.robot.Robot`."""
         return self._limits
 
     def connect(self) -> None:
-        """See `hil.robot.Robot`; refused when `stop` comes meanwhile, and closed then."""
+        """Connect to the robot as described in `hil.robot.Robot`.
+
+        If `stop` is called while this method runs, the robot is closed and an error is raised.
+        """
         stop = self._last_stop
         if self._process is not None and not self._process.alive:
             self.close()
@@ -154,23 +163,25 @@ class RobotProcess:
         self._refuse_if_stopped_since(stop)
 
     def set_payload(self, payload: Payload) -> Payload:
-        """See `hil.robot.Robot`."""
+        """Declare the payload as described in `hil.robot.Robot`."""
         said, _ = self._ask("set_payload", COMMAND_S, asdict(payload))
         with understood():
             return payload_from(said["payload"])
 
     def prepare(self, segment: Segment) -> None:
-        """See `hil.robot.Robot`."""
+        """Transfer the next segment as described in `hil.robot.Robot`."""
         self._ask("prepare", COMMAND_S, *segment_document(segment))
 
     def start(self) -> None:
-        """See `hil.robot.Robot`."""
+        """Start the prepared segment as described in `hil.robot.Robot`."""
         self._ask("start", COMMAND_S)
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
-        """See `hil.robot.Robot`; `RobotTimeout` also when the driver hangs.
+        """Read state rows as described in `hil.robot.Robot`.
 
-        Rows that came too late for the read that asked for them come with the next one.
+        Raises `RobotTimeout` also if the driver hangs.
+
+        State rows that arrived too late for one read are returned by the next read.
         """
         patience_s = timeout_s + READ_GRACE_S[self._capabilities.clock]
         said, arrays = self._ask("read", patience_s, {"timeout_s": timeout_s})
@@ -181,21 +192,24 @@ class RobotProcess:
         return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
     def stop(self) -> None:
-        """See `hil.robot.Robot`; a driver that does not answer within a second is killed."""
+        """Stop the arm as described in `hil.robot.Robot`.
+
+        A driver process that does not answer within 1 s is killed.
+        """
         self._last_stop = object()
         process = self._process
         if process is not None:
             process.stop()
 
     def close(self) -> None:
-        """See `hil.robot.Robot`: stop, ask, SIGTERM, SIGKILL; a matter of seconds at most."""
+        """Close the robot within seconds: stop the arm, request closing, SIGTERM, SIGKILL."""
         process = self._process
         if process is None:
             return
         try:
             problem = _problem(process.stop)
             if isinstance(problem, RobotConnectionError) and not process.alive:
-                problem = None  # it was dead before: nothing is left to be released
+                problem = None  # the process had exited before, so there is nothing to release
             problem = _problem(self._ask_to_close) or problem
         finally:
             process.end()
@@ -213,7 +227,10 @@ class RobotProcess:
         self._process = process
 
     def _remember(self, facts: Facts) -> None:
-        """Members that a structural check looks for exist only where the driver has them."""
+        """Store the robot properties that the driver reported.
+
+        Optional members are set on the `RobotProcess` only if the driver has them.
+        """
         self._capabilities, self._limits = facts.capabilities, facts.limits
         self._identity = facts.identity
         if facts.topics is not None:
@@ -249,7 +266,7 @@ class RobotProcess:
 
     def _ask_to_close(self) -> None:
         process = self._process
-        # Who is stuck in a call keeps the line; the end of it will do, then.
+        # If a thread hangs in a call, closing the connection is sufficient.
         if process and process.answers and self._one_call.acquire(timeout=CLOSE_S):
             try:
                 process.ask("close", CLOSE_S)
@@ -257,7 +274,10 @@ class RobotProcess:
                 self._one_call.release()
 
     def _refuse_if_stopped_since(self, stop: object) -> None:
-        """A stop that found no driver, or one that was not at it yet, holds all the same."""
+        """Close the robot and raise if `stop` was called after the value `stop` was read.
+
+        A stop request during connecting is effective even before the driver is ready.
+        """
         if self._last_stop is not stop:
             self.close()
             raise CommandRefused("stopped while connecting", hint="connect again")
@@ -272,28 +292,32 @@ def _problem(step: Callable[[], object]) -> HilError | None:
 
 
 STOP_WITHIN_S = 1.0
-"""A driver that has not answered a stop by then is killed: its controller has to notice [s]."""
+"""Time limit for the answer of a driver to a stop request [s].
+
+A driver that does not answer in time is killed, and the robot controller must react to the lost
+connection.
+"""
 
 TERMINATE_AFTER_S, KILL_AFTER_S = 1.0, 2.0
-"""How long a process that should end is waited for, before and after SIGTERM [s]."""
+"""Waiting times for the exit of a driver process before and after SIGTERM [s]."""
 
 _TO_BE_SEEN_S = 1.0
 
 
 class DriverProcess:
-    """One child process and the way to it.
+    """Child process of a driver, with the connections to this process.
 
-    Calls are for one thread at a time. `stop` is for any number of threads and for signal
-    handlers: it takes no lock that whoever was interrupted may hold.
+    Only one thread at a time is allowed to call `ask`. Any number of threads and signal handlers
+    can call `stop`, which acquires no lock that an interrupted thread possibly holds.
 
     Raises:
-        PluginError: This system lacks what it takes.
+        PluginError: The operating system is not Linux.
     """
 
     def __init__(self, name: str) -> None:
         if sys.platform != "linux":
             raise PluginError(
-                "a driver gets a process of its own on Linux only",
+                "a driver can run in its own process on Linux only",
                 hint="set own_process: false in the station file",
             )
         self._name = name
@@ -301,7 +325,7 @@ class DriverProcess:
         self._late: list[StructArray] = []
         self._lost = False
         calls, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
-        # Packets keep stops whole however many threads send them at once.
+        # Packets keep concurrent stops of several threads separate.
         stops, their_stops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._calls, self._stops = Line(calls), StopLine(stops)
         self._log = new_log(name)
@@ -314,32 +338,32 @@ class DriverProcess:
 
     @property
     def pid(self) -> int:
-        """Of the process, also once it has ended."""
+        """Process id of the driver process, valid also after the process has exited."""
         return self._process.pid
 
     @property
     def alive(self) -> bool:
-        """Whether it runs, and was neither let go nor given up."""
+        """Whether the driver process is running and has been neither released nor killed."""
         return self._drop.alive and not self._lost and self._process.poll() is None
 
     @property
     def answers(self) -> bool:
-        """Whether calls make sense: it runs, and the line to it is in step."""
+        """Whether calls are possible: the driver process runs, and its connection is in sync."""
         return self.alive and not self._calls.torn
 
     @property
     def suspended(self) -> bool:
-        """Whether it does not run because it was suspended (SIGSTOP, a debugger, a freezer)."""
+        """Whether the driver process is suspended (SIGSTOP, a debugger, a freezer)."""
         return is_suspended(self.pid) if self._process.poll() is None else False
 
     @property
     def exit_code(self) -> int | None:
-        """Of the process; None while it runs, negative when a signal has ended it."""
+        """Exit code of the driver process; None while running, negative if a signal ended it."""
         return self._process.poll()
 
     @property
     def printed(self) -> str:
-        """The end of what the driver printed."""
+        """Last part of the output that the driver printed."""
         if not self._drop.alive:
             return ""
         return printed_to(self._log)
@@ -351,14 +375,14 @@ class DriverProcess:
         details: Mapping[str, Any] | None = None,
         arrays: Sequence[StructArray] = (),
     ) -> Message:
-        """Call a member of the driver and wait for what it says.
+        """Call a method of the driver and return its answer.
 
         Raises:
-            RobotTimeout: It has not answered in time; rows that come late come with the
-                next `read`.
-            RobotConnectionError: Its process has died, or talks nonsense.
-            HilError: What the driver raised.
-            TypeError, ValueError: The details cannot be said in JSON.
+            RobotTimeout: The driver has not answered in time; rows that arrive late are returned by
+                the next `read`.
+            RobotConnectionError: The driver process has exited or sent invalid data.
+            HilError: Error that the driver raised.
+            TypeError, ValueError: The arguments of the call cannot be converted to JSON.
         """
         number = next(self._numbers)
         frame = pack({"id": number, "call": call, "with": details or {}}, arrays)
@@ -376,7 +400,7 @@ class DriverProcess:
                 raise self._is_suspended() from error
             raise RobotTimeout(
                 f"{self._name}: the driver has not answered {call} within {timeout_s:.1f} s",
-                hint=f"it hangs, or its robot does: process {self.pid}",
+                hint=f"the driver or its robot hangs: process {self.pid}",
             ) from error
         if "error" in said:
             with understood():
@@ -385,36 +409,39 @@ class DriverProcess:
         return said, self._with_late(call, rows)
 
     def stop(self, within_s: float | None = None) -> None:
-        """Stop the arm over the line of its own; nothing to do once the process was let go.
+        """Stop the arm over the separate stop connection.
+
+        The method has no effect after the driver process was released.
 
         Args:
-            within_s: Who has another way to stop the arm waits only so long, and the process
-                goes on [s]; by default one that does not answer in a second is killed.
+            within_s: Time limit for callers that can stop the arm by a different method; the driver
+                process is not killed after this limit [s]. By default, the driver process is killed
+                if it does not answer within 1 s.
 
         Raises:
-            RobotTimeout: The driver does not answer.
-            RobotConnectionError: Its process has died.
-            HilError: What the driver raised.
+            RobotTimeout: The driver does not answer in time.
+            RobotConnectionError: The driver process has exited.
+            HilError: Error that the driver raised.
         """
         try:
             answer = self._stops.ask(STOP_WITHIN_S if within_s is None else within_s)
-        except (OSError, ValueError) as error:  # what a socket says that was just closed
+        except (OSError, ValueError) as error:  # raised by a socket that was just closed
             if not self._drop.alive:
                 return
             raise self._died(_TO_BE_SEEN_S if within_s is None else 0.0) from error
         if answer is None and within_s is not None:
             raise RobotTimeout(
                 f"{self._name}: the driver has not answered a stop within {within_s:g} s",
-                hint="stop the arm in another way",
+                hint="stop the arm by other means",
             )
         if answer is None:
-            why = ", its process being suspended," if self.suspended else ""
+            why = " (its process is suspended)" if self.suspended else ""
             self._lost = True
             self._process.kill()
             raise RobotTimeout(
                 f"{self._name}: the driver has not answered a stop within {STOP_WITHIN_S:g} s{why} "
                 "and was killed; only the controller can stop the arm now",
-                hint="see to the robot itself, by its emergency stop if need be",
+                hint="check the robot, and use its emergency stop if necessary",
             )
         if answer:
             with understood():
@@ -422,11 +449,14 @@ class DriverProcess:
             raise raised
 
     def end(self) -> None:
-        """Let the process come to its end, or bring it there, within seconds. Idempotent."""
+        """Wait until the driver process exits, or end it, within seconds.
+
+        Idempotent.
+        """
         self._drop()
 
     def forget(self) -> None:
-        """Let go of our ends without a word, in a process that is not the one they belong to."""
+        """Close the connections silently in a forked process, which does not own them."""
         if self._drop.detach():
             self._calls.close()
             self._stops.close()
@@ -439,19 +469,19 @@ class DriverProcess:
 
     def _is_suspended(self) -> RobotTimeout:
         return RobotTimeout(
-            f"{self._name}: the driver's process {self.pid} is suspended and does not answer",
-            hint="look at the robot; continue the process (kill -CONT), or end it",
+            f"{self._name}: the driver process {self.pid} is suspended and does not answer",
+            hint="check the robot; continue the process (kill -CONT), or end it",
         )
 
     def _died(self, wait_s: float = _TO_BE_SEEN_S) -> RobotConnectionError:
         self._lost = True
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(wait_s)
-        message = f"{self._name}: the driver's process {end_of(self._process.returncode)}"
+        message = f"{self._name}: the driver process {end_of(self._process.returncode)}"
         last = last_words(self.printed)
         return RobotConnectionError(
             f"{message}; it printed last:\n{last}" if last else message,
-            hint="nobody commands the robot now: see to it before going on",
+            hint="no process commands the robot now: check the robot before you continue",
         )
 
 
@@ -459,7 +489,7 @@ _mine: weakref.WeakSet[DriverProcess] = weakref.WeakSet()
 
 
 def _drop(process: subprocess.Popen[bytes], calls: Line, stops: StopLine, log: int) -> None:
-    """The lines end first: the child then stops the arm, whatever becomes of the rest."""
+    """Close the connections, which makes the child stop the arm; end the child if needed."""
     calls.cut()
     calls.close()
     stops.close()
@@ -474,7 +504,7 @@ def _drop(process: subprocess.Popen[bytes], calls: Line, stops: StopLine, log: i
 
 
 def _forget_in_fork() -> None:
-    """A child made by fork shares our ends: it must neither keep nor use them, nor cut them."""
+    """Close inherited connections in a forked child, which must not use or shut them down."""
     for process in list(_mine):
         process.forget()
 
@@ -488,14 +518,15 @@ _PACKET_BYTES = 1 << 16
 
 
 class StopLine:
-    """One end of a line of packets. Nothing in here waits for a lock.
+    """One end of the packet connection for stop requests; no method waits for a lock.
 
-    A handler runs in the middle of what the main thread does, which may be a stop: a lock that it
-    holds would never be freed. Instead, every stop has a token of its own, packets are whole or
-    not there, and whoever receives the answer to another's stop puts it where the other looks.
+    A signal handler interrupts the main thread, possibly during a stop request, and a lock held by
+    the main thread would then never be released. Because no lock is used, every stop request has
+    its own token, and packets are atomic. A thread that receives the answer to the stop request of
+    a different thread stores the answer for that thread.
 
     Args:
-        end: Connected packet socket; the line owns it.
+        end: Connected packet socket; the connection owns the socket.
     """
 
     def __init__(self, end: socket.socket) -> None:
@@ -505,14 +536,14 @@ class StopLine:
         self._answers: dict[bytes, bytes] = {}
 
     def ask(self, within_s: float) -> bytes | None:
-        """Ask for a stop; returns what was answered, None when nothing was in time.
+        """Request a stop; return the answer, or None if no answer arrived in time.
 
         Raises:
-            OSError: Nobody is there.
+            OSError: The other side has closed the connection.
         """
         token = next(self._tokens).to_bytes(_TOKEN_BYTES, "little")
         until = time.monotonic() + within_s
-        # A full line means that stops wait there already.
+        # If the buffer is full, other stops are already waiting in it.
         with contextlib.suppress(BlockingIOError):
             self._end.send(token)
         poll = select.poll()
@@ -525,29 +556,29 @@ class StopLine:
         return self._answers.pop(token)
 
     def close(self) -> None:
-        """The other side sees the end, and stops the arm."""
+        """Close the stop connection; the other side then stops the arm."""
         self._end.close()
 
     def _receive(self) -> None:
         with contextlib.suppress(BlockingIOError):
             packet = self._end.recv(_PACKET_BYTES)
             if not packet:
-                raise BrokenPipeError("the line has ended")
+                raise BrokenPipeError("the connection has ended")
             self._answers[packet[:_TOKEN_BYTES]] = packet[_TOKEN_BYTES:]
 
 
 def new_log(name: str) -> int:
-    """A descriptor to print to: a file in memory, which never waits for a reader, nor needs one."""
+    """Return the descriptor of a memory file for output, which never blocks the writer."""
     log = os.memfd_create(f"hil-driver-{name}", os.MFD_CLOEXEC)
     fcntl.fcntl(log, fcntl.F_SETFL, os.O_APPEND)
     return log
 
 
 def spawn(ours: Sequence[int]) -> subprocess.Popen[bytes]:
-    """Start the child in a session of its own, where the terminal's signals do not reach it.
+    """Start the child process in a separate session, which terminal signals do not reach.
 
     Args:
-        ours: Descriptors it gets: its ends of the two lines, and the log.
+        ours: Descriptors for the child process: its ends of the two connections, and the log.
     """
     log = ours[-1]
     return subprocess.Popen(  # noqa: S603, our own module by our own interpreter
@@ -562,16 +593,16 @@ def spawn(ours: Sequence[int]) -> subprocess.Popen[bytes]:
 
 
 def end_of(code: int | None) -> str:
-    """What became of a process, by its return code."""
+    """Return a text about how a process ended, from its return code."""
     if code is None:
-        return "has closed the line"
+        return "has closed the connection"
     if code < 0:
         return f"died (signal {-code}: {signal.strsignal(-code)})"
     return f"ended (exit code {code})"
 
 
 def is_suspended(pid: int) -> bool:
-    """Return whether a process is stopped by a signal or a debugger, according to /proc."""
+    """Return whether /proc shows that a process is stopped by a signal or a debugger."""
     try:
         with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
             return file.read().rpartition(")")[2].split()[0] in ("T", "t")
@@ -583,7 +614,7 @@ _LAST_BYTES = 2000
 
 
 def printed_to(log: int) -> str:
-    """The end of what was printed."""
+    """Return the last part of the printed output."""
     size = os.fstat(log).st_size
     raw = os.pread(log, _LAST_BYTES, max(0, size - _LAST_BYTES))
     return raw.decode("utf-8", "replace")
@@ -594,7 +625,7 @@ _LAST_LINES = 6
 
 
 def last_words(printed: str) -> str:
-    """Where it crashed, if it says so; else the last it printed."""
+    """Return the crash report of the Python interpreter if any, else the last printed lines."""
     _, crash, where = printed.rpartition(_CRASH)
     if crash:
         return "\n".join((crash + where).splitlines()[:_LAST_LINES])

@@ -1,10 +1,13 @@
-"""The process a driver lives in: `python -m hil.robot.subprocess_server CALLS STOP LOG`.
+"""Process of a driver: `python -m hil.robot.subprocess_server CALLS STOP LOG`.
 
-Two lines lead to it. Calls come over the first and are answered one after the other (`serve`);
-stops come over the second, which has a thread of its own (`Guard`), so that no call that takes its
-time delays one. `HostedRobot` is the driver behind both. The end of either line, and SIGTERM, mean:
-stop the arm, follow it to rest, release it, end. A driver that holds the interpreter is ended by a
-timer in C, and its controller has to notice. The other side is `hil.robot.subprocess_robot`.
+The driver process has two connections to `hil`. Calls of driver methods arrive over the first
+connection and are answered one after the other (`serve`). Stop requests arrive over the second
+connection and are handled by a separate thread (`Guard`), so that a slow call cannot delay a stop.
+The class `HostedRobot` contains the driver, which both threads use. If one of the two connections
+is closed, or at SIGTERM, the process stops the arm, monitors the arm until it is static, releases
+the robot and exits. If a driver blocks the Python interpreter, a timer in C ends the process, and
+the robot controller must react to the lost connection. The module `hil.robot.subprocess_robot`
+contains the code of the process that commands the robot.
 """
 
 from __future__ import annotations
@@ -46,10 +49,10 @@ _BROKEN = 1
 
 
 def main(arguments: list[str]) -> None:
-    """Be a driver's process; never returns."""
+    """Run the driver process; this function never returns."""
     calls_at, stops_at, log = (int(text) for text in arguments[:3])
     for descriptor in (calls_at, stops_at, log):
-        # A process that the driver starts must not keep our lines open beyond our end.
+        # A process started by the driver must not inherit the connections and keep them open.
         os.set_inheritable(descriptor, False)
     faulthandler.enable(all_threads=False)
     terminated = _hear_signals()
@@ -66,7 +69,7 @@ def main(arguments: list[str]) -> None:
         traceback.print_exc()
         code = _BROKEN
     try:
-        # The guard sees this and sets the time by which everything has an end.
+        # The guard detects the shutdown and starts the timer that ends the process.
         with contextlib.suppress(OSError):
             stops.shutdown(socket.SHUT_RDWR)
         robot.let_go(gone=True)
@@ -76,7 +79,7 @@ def main(arguments: list[str]) -> None:
 
 
 def _hear_signals() -> int:
-    """Leave the terminal's signals to `hil`; returns what becomes readable at SIGTERM."""
+    """Ignore the signals of the terminal; return a descriptor that becomes readable at SIGTERM."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     woken, wake = os.pipe()
@@ -87,7 +90,10 @@ def _hear_signals() -> int:
 
 
 def serve(calls: Line, robot: HostedRobot) -> None:
-    """Answer calls until the robot is closed; raises `RobotConnectionError` if the line ends."""
+    """Answer calls until the robot is closed.
+
+    Raise `RobotConnectionError` if the connection ends.
+    """
     while not robot.closed:
         said, rows = robot.answer(calls.receive())
         try:
@@ -98,7 +104,7 @@ def serve(calls: Line, robot: HostedRobot) -> None:
 
 
 def _end(code: int) -> None:
-    """Not by returning: threads of a vendor's library must not keep the process alive."""
+    """Exit the process immediately, without waiting for threads of vendor libraries."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(Exception):
             stream.flush()
@@ -106,34 +112,38 @@ def _end(code: int) -> None:
 
 
 STOP_TOKEN_BYTES = 8
-"""A stop is a packet of so many bytes; its answer begins with them and may go on with an error."""
+"""Size of a stop request [bytes]; the answer starts with the same bytes and can contain an
+error."""
 
 MOST_LOG_BYTES = 1 << 18
 
 KEPT_LOG_BYTES = 1 << 13
-"""Of what the driver prints, so much is kept [bytes]; it must never wait for a reader."""
+"""Size to which the output file of the driver is truncated [bytes], so that printing never
+blocks."""
 
 LAST_WORD_S = 5.0
-"""Beyond the time to come to rest, after which the process ends whatever still hangs in it [s]."""
+"""Additional time after `REST_S` at which a hanging driver process is ended in any case [s]."""
 
 HELD_S = 15.0
-"""A driver that holds the interpreter for so long is ended: its controller must notice [s]."""
+"""Time after which a driver that blocks the interpreter is ended [s]; the robot controller must
+then react."""
 
 _TICK_S = 0.25
 
 REST_S = 5.0
-"""How long an arm that was let go is followed to its rest [s]."""
+"""Maximum time for which a released arm is monitored until it is static [s]."""
 
 
 class Guard(threading.Thread):
-    """Stops the arm: when asked, when the other side has gone, and when it is not read.
+    """Thread that stops the arm if requested, if the client is gone, or if the arm is not read.
 
     Args:
-        robot: What is to be stopped.
-        stops: The line stops come over.
-        calls: Cut when the other side has gone, so that the thread that answers calls ends.
-        woken: Becomes readable at a signal, even while a driver's C code runs.
-        log: Descriptor of what the driver prints; kept short.
+        robot: Robot that the thread stops.
+        stops: Connection for stop requests.
+        calls: Connection for calls; the thread shuts it down if the other side is gone, so that the
+            call thread ends.
+        woken: Descriptor that becomes readable at a signal, even while C code of the driver runs.
+        log: Descriptor of the output file of the driver, which is truncated regularly.
     """
 
     def __init__(
@@ -145,12 +155,12 @@ class Guard(threading.Thread):
         self.terminated = False
 
     def run(self) -> None:
-        """Watch until the robot has to be let go."""
+        """Monitor the robot until the robot has to be released."""
         poll = select.poll()
         poll.register(self._stops, select.POLLIN)
         poll.register(self._woken, select.POLLIN)
         while True:
-            # By a timer in C: it works although the interpreter is held.
+            # This timer runs in C and works even if the interpreter is blocked.
             faulthandler.dump_traceback_later(HELD_S, exit=True)
             ready = [descriptor for descriptor, _ in poll.poll(_TICK_S * 1000)]
             if self._woken in ready and signal.SIGTERM in os.read(self._woken, 64):
@@ -163,7 +173,7 @@ class Guard(threading.Thread):
                 _keep_short(self._log)
 
     def _answer(self) -> bool:
-        """Stop and say so; return False if the other side has gone."""
+        """Stop the arm and answer the request; return False if the other side is gone."""
         try:
             token = self._stops.recv(STOP_TOKEN_BYTES)
             if token:
@@ -194,16 +204,17 @@ def _keep_short(log: int) -> None:
 
 
 UNREAD_S = 2.0
-"""An arm that moves and is not read for this long is stopped: `hil` was suspended, or hangs [s]."""
+"""Time without a read after which a moving arm is stopped [s], because `hil` is suspended or
+hangs."""
 
 _REST_RAD_S = 0.01
 
 
 class HostedRobot:
-    """One driver and what its process knows about it.
+    """One driver and its state within the driver process.
 
-    The thread that answers calls and the one that stops the arm share it: every member of the
-    driver but `stop` is called by the first alone.
+    The call thread and the stop thread share this object. Only the call thread calls methods of the
+    driver other than `stop`.
     """
 
     def __init__(self) -> None:
@@ -229,17 +240,17 @@ class HostedRobot:
         }
 
     def answer(self, question: Message) -> Message:
-        """Do what is asked; whatever goes wrong is an answer too."""
+        """Execute a call and return its answer; an error is also returned as an answer."""
         asked, arrays = question
         doing = str(asked.get("call"))
         self._busy = True
         try:
             if self._let_go:
-                raise RobotConnectionError("the driver's process is about to end")
+                raise RobotConnectionError("the driver process is about to end")
             if doing not in self._members:
-                raise RobotError(f"a driver's process is asked to {doing!r}, which it cannot")
+                raise RobotError(f"unknown request to the driver process: {doing!r}")
             said, rows = self._members[doing](asked.get("with", {}), arrays)
-        # A vendor's library that calls sys.exit must not end the process that can stop the arm.
+        # A vendor library that calls sys.exit must not end the process that can stop the arm.
         except (Exception, SystemExit) as error:
             said, rows = {"error": error_document(error, doing)}, []
         finally:
@@ -249,30 +260,35 @@ class HostedRobot:
 
     @property
     def closed(self) -> bool:
-        """Whether the robot was closed by a call: nothing is left to be done then."""
+        """Whether a call has closed the robot, after which no call remains."""
         return self._closed
 
     def stop(self) -> None:
-        """Stop the arm; from any thread. Does nothing before there is a driver."""
+        """Stop the arm from any thread; no effect before a driver has been opened."""
         if self._robot is not None:
             self._robot.stop()
 
     def stop_if_unread(self) -> None:
-        """Stop an arm that moves in wall time and is not read; the next call says so."""
+        """Stop an arm that moves in wall time although its state is not read.
+
+        The next call of a driver method raises an error about this stop.
+        """
         unread = time.monotonic() - self._last_asked
         if self._busy or not (self._moving and self._wall) or unread < UNREAD_S:
             return
         self._moving = False
         self._complaint = (
-            f"the arm moved and was not read for {unread:.1f} s: its driver stopped it"
+            f"the arm moved and no samples were read for {unread:.1f} s: its driver stopped it"
         )
         _attempt(self.stop)
 
     def let_go(self, *, gone: bool) -> None:
-        """Stop the arm because it is not commanded any more; once, from any thread.
+        """Stop the arm, because no process commands it; only the first call has an effect.
+
+        Any thread can call this method.
 
         Args:
-            gone: The other side has vanished, which a mock robot wants to know.
+            gone: Whether the other side has disappeared; a mock robot is notified about the loss.
         """
         with self._letting_go:
             if self._let_go or self._closed:
@@ -283,10 +299,10 @@ class HostedRobot:
             _attempt(self.stop)
 
     def finish(self) -> None:
-        """Follow an arm that was let go to its rest, then release it."""
+        """Monitor a released arm until it is static, then close the driver."""
         if self._robot is None or self._closed:
             return
-        # Again: a call that was on its way when the other side went may have started a motion.
+        # Repeated, because a call in progress possibly started a motion after the first stop.
         _attempt(self.stop)
         _attempt(self._come_to_rest)
         _attempt(self._robot.close)
@@ -348,7 +364,7 @@ class HostedRobot:
         try:
             self._opened().close()
         finally:
-            # Before the answer: after it, the end of the line is expected.
+            # Set before the answer, because the other side closes the connection after the answer.
             self._closed = True
         return {}, []
 
@@ -361,12 +377,12 @@ class HostedRobot:
         complaint, self._complaint = self._complaint, ""
         if complaint:
             raise RobotConnectionError(
-                complaint, hint="was hil suspended? let it run, and resume the run"
+                complaint, hint="if hil was suspended, continue its process, then resume the run"
             )
 
 
 def _attempt(member: Callable[[], object] | None) -> None:
-    """Call something that must not keep what comes after it from being done."""
+    """Call a function and print an exception instead of raising it."""
     try:
         if member is not None:
             member()
@@ -378,16 +394,18 @@ _GROUP = "hil.drivers"
 
 
 def open_driver(how: Mapping[str, Any]) -> Robot:
-    """The driver, not connected.
+    """Return the driver object, which is not connected.
 
     Args:
-        how: `driver` (name or `module:Class`), `name`, `model`, `options`; `gravity` for those
-            who simulate, or None; `pythonpath` that `hil` was started with, or None.
+        how: Document with the keys `driver` (name or `module:Class`), `name`, `model`, `options`;
+            `gravity` for simulating drivers, or None; `pythonpath` with which `hil` was started, or
+            None.
 
     Raises:
-        PluginError, SpecError, TypeError, ValueError: What `hil.planning.robots.open_robot` says.
+        PluginError, SpecError, TypeError, ValueError: The driver cannot be opened, see
+            `hil.planning.robots.open_robot`.
     """
-    # Programs that the driver starts get the environment that `hil` was started with.
+    # Programs started by the driver get the environment with which `hil` was started.
     os.environ.pop("PYTHONPATH", None)
     if how["pythonpath"] is not None:
         os.environ["PYTHONPATH"] = how["pythonpath"]

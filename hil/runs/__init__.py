@@ -1,4 +1,4 @@
-"""Lists, queries and retention of runs: views of run directories that can always be made anew."""
+"""Lists, queries and retention of runs, all derived from the run directories."""
 
 import lazy_loader
 

@@ -1,6 +1,7 @@
 from .catalogue import ALWAYS_READ as ALWAYS_READ
 from .catalogue import find_runs as find_runs
 from .catalogue import stamp_of as stamp_of
+from .listing import RunListing as RunListing
 from .listing import describe_run as describe_run
 from .listing import entry_of as entry_of
 from .listing import find_model as find_model
@@ -8,6 +9,7 @@ from .listing import find_run as find_run
 from .listing import find_source as find_source
 from .listing import list_runs as list_runs
 from .listing import listing_of as listing_of
+from .listing import next_command as next_command
 from .listing import run_listings as run_listings
 from .listing import run_paths as run_paths
 from .listing import started_s as started_s

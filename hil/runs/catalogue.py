@@ -1,10 +1,14 @@
-"""The catalogue as SQLite: `RUNS/.catalogue.sqlite`, a view of run directories and never the truth.
+"""SQLite catalogue of the run directories: a cache in the file `RUNS/.catalogue.sqlite`.
 
-Every query first compares the directories with the file and reads those that have changed: in which
-a name, a time or a size is another one (`stamp_of`). The file is read into memory whole and
-replaced whole, so that processes need no locks, which network file systems lack, and a kill leaves
-the older file. A file that is damaged or of another version is made anew. A folder of runs that
-cannot be written to is queried all the same, only more slowly.
+The run directories, not the catalogue, remain the source of truth. Every query first compares the
+run directories with the catalogue. A run directory is read again if the name, modification time or
+size of one of its files differs (`stamp_of`).
+
+The catalogue file is read into memory as a whole and replaced as a whole. Processes that update the
+catalogue file therefore need no locks, which some network file systems do not support. A killed
+process leaves the previous catalogue file intact. A catalogue file that is damaged or has a
+different format version is rebuilt. If the folder of runs is not writable, queries still work but
+are slower, because the catalogue file is not updated.
 """
 
 from __future__ import annotations
@@ -25,7 +29,11 @@ from hil.runs.query import Query, parse, sqlite_text
 FILE = ".catalogue.sqlite"
 
 VERSION = 2
-"""Raised whenever a column or an entry changes: files of other versions are made anew."""
+"""Format version of the catalogue file.
+
+Increase the format version whenever a column or an entry changes; catalogue files of other versions
+are rebuilt.
+"""
 
 _WORDS = ("name", "description", "operator")
 _TEXTS = ("name", "robot", "arm", "serial", "operator", "status", "verdict", "occasion", "uid")
@@ -37,26 +45,28 @@ _TABLES = (
     "CREATE INDEX fits_of ON fits (path)",
     f"PRAGMA user_version = {VERSION}",
 )
-_ADD = f"INSERT INTO runs VALUES ({', '.join('?' * len(_COLUMNS))})"  # noqa: S608 - names of ours
+_ADD = f"INSERT INTO runs VALUES ({', '.join('?' * len(_COLUMNS))})"  # noqa: S608 - constant names
 
 
 def find_runs(
     *terms: str, runs: str | Path = "runs", rebuild: bool = False
 ) -> list[dict[str, Any]]:
-    """Return the runs that meet every term of a query, by number; without terms all of them.
+    """Return the runs that match all terms of a query, sorted by run number.
+
+    Without query terms, all runs are returned.
 
     Args:
-        terms: Such as `robot=ur5-*`, `since=7d`, `rmse<0.1` or a word; see
-            docs/how-to/find-runs.md.
-        runs: The folder of runs.
-        rebuild: Read every directory again.
+        terms: Query terms such as `robot=ur5-*`, `since=7d`, `rmse<0.1` or a search word, as
+            described in docs/how-to/find-runs.md.
+        runs: Path of the folder of runs.
+        rebuild: Whether to ignore the catalogue file and read every run directory again.
 
     Returns:
-        One entry per run, see `hil.runs.listing.facts_of`.
+        One entry per matching run; the keys are described in `hil.runs.listing.facts_of`.
 
     Raises:
-        SpecError: A term cannot be understood.
-        DataError: `runs` is a file.
+        SpecError: A query term cannot be parsed.
+        DataError: The path `runs` is a file.
     """
     root, query = Path(runs), parse(terms)
     paths = {_relative(path, root): path for path in run_paths(root)}
@@ -72,14 +82,14 @@ def find_runs(
 
 
 def _relative(path: Path, root: Path) -> str:
-    """Return where a run is below the folder of runs, as ASCII whatever bytes its name has."""
+    """Return the path of a run relative to the folder of runs, in JSON with ASCII characters."""
     return json.dumps(os.fspath(path.relative_to(root)))
 
 
 def _from_file(
     root: Path, paths: Mapping[str, Path], query: Query
 ) -> list[tuple[str, dict[str, Any]]] | None:
-    """Return the answer of the file, brought up to date; None without a file that can be used."""
+    """Return the query result from the updated catalogue file; None if it is unusable."""
     with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as view:
         try:
             view.deserialize((root / FILE).read_bytes())
@@ -89,7 +99,7 @@ def _from_file(
                 return None
             _bring_up_to_date(view, root, paths)
             return _select(view, query)
-        except (sqlite3.Error, OSError, ValueError, TypeError):  # an entry is no JSON or no object
+        except (sqlite3.Error, OSError, ValueError, TypeError):  # includes invalid JSON
             return None
 
 
@@ -99,9 +109,10 @@ def _only(view: sqlite3.Connection, statement: str) -> Any:
 
 
 def _bring_up_to_date(view: sqlite3.Connection, root: Path, paths: Mapping[str, Path]) -> None:
-    """Forget what is gone, read what has changed, and write the file if another query gains by it.
+    """Remove deleted runs from the catalogue and read changed runs.
 
-    Nothing is gained by runs alone that are read every time (`ALWAYS_READ`).
+    The catalogue file is written only if a later query benefits from the changes. If every query
+    reads all changed runs again in any case (`ALWAYS_READ`), the catalogue file is not written.
     """
     known = dict(view.execute("SELECT path, stamp FROM runs"))
     stamps = {path: stamp_of(run) for path, run in paths.items()}
@@ -114,17 +125,17 @@ def _bring_up_to_date(view: sqlite3.Connection, root: Path, paths: Mapping[str, 
     lasting = [path for path in new if _enter(view, path, paths[path], stamps[path])]
     view.execute("COMMIT")
     if any(known[path] for path in outdated) or lasting:
-        with contextlib.suppress(RecordingError, sqlite3.Error):  # made anew by the next query
+        with contextlib.suppress(RecordingError, sqlite3.Error):  # the next query rebuilds the file
             write_replacing(root / FILE, view.serialize())
 
 
 def _enter(view: sqlite3.Connection, path: str, run: Path, stamp: str) -> bool:
-    """Enter a run; return whether its entry lasts, or has to be read again the next time."""
+    """Add a run to the catalogue and return whether later queries can reuse its entry."""
     facts = None
     with contextlib.suppress(FileNotFoundError):
         facts = facts_of(run)
     if facts is None or not run.is_dir():
-        return False  # deleted meanwhile
+        return False  # the run was deleted in the meantime
     ended = facts["status"] not in ("running", "interrupted", "damaged")
     stamp = stamp if ended else ALWAYS_READ
     row = facts | {
@@ -154,17 +165,23 @@ def _select(view: sqlite3.Connection, query: Query) -> list[tuple[str, dict[str,
 
 
 ALWAYS_READ = ""
-"""Stamp of a run that is read again by every query, whatever its files look like."""
+"""Stamp of a run that every query reads again, whatever the state of its files."""
 
 SETTLED_S = 2.0
-"""A file that was changed less long ago may change again within the same tick of a clock [s]."""
+"""Minimum time since the last change of a file for its run to be reused from the catalogue [s].
+
+A file that was changed more recently can change again with the same modification time, because the
+clock of the file system is coarse.
+"""
 
 
 def stamp_of(run: Path) -> str:
-    """Return a text that changes whenever the entry of a run may have changed.
+    """Return a text that changes whenever the catalogue entry of a run possibly changes.
 
-    It is `ALWAYS_READ` if that cannot be known: for a run that was changed a moment ago (such as a
-    live one, whose process touches its lock), and for one that cannot be looked into.
+    The text is `ALWAYS_READ` if changes of the run cannot be detected. Changes cannot be detected
+    in a directory that cannot be read. Changes also cannot be detected in a run whose files were
+    changed within the last `SETTLED_S` seconds, such as a live run whose process touches its lock
+    file.
     """
     try:
         seen = sorted(_seen(run))
@@ -181,8 +198,8 @@ _PARTS = ("evaluation.json", "model.json", "study.json")
 
 
 def _seen(run: Path) -> Iterator[tuple[str, int, int]]:
-    """Yield name, time of change [ns] and size of everything that an entry depends on."""
-    home = os.fspath(run)  # text: a Path per file would be several times slower, of thousands
+    """Yield name, modification time [ns] and size of every file that an entry depends on."""
+    home = os.fspath(run)  # a Path object per file would be several times slower
     yield _look("", home)
     with os.scandir(home) as entries:
         inside = [entry for entry in entries if entry.name[0] != "." or entry.name == LOCK]

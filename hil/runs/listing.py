@@ -1,7 +1,7 @@
-"""Lists of runs: which there are, what the documents of each say, and which one a name means.
+"""Lists of runs: find run directories, read their documents and resolve the name of a run.
 
-Everything here is a view of the run directories. A damaged run is listed as `damaged`, and a
-document that is missing or odd leaves its facts empty: neither breaks the list.
+All functions of this module only read run directories. A damaged run is listed as `damaged`. If a
+document is missing or invalid, its values are empty; the list of runs is still complete.
 
 ==================  ============================================================
 `RunListing`        where a run is and how it ended: one line of `hil runs`
@@ -40,23 +40,25 @@ from hil.recording import (
 )
 
 LAST = "last"
-"""Names the newest run."""
+"""Name by which a user selects the newest run."""
 
 ListedStatus = RunStatus | Literal["running", "damaged"]
 
 
 @dataclass(frozen=True, slots=True)
 class RunListing:
-    """Where a run is and how it ended.
+    """Path, identity and status of a run.
 
     Attributes:
-        path: The run directory.
-        number: Its running number, 0 if it was renamed.
-        date: Folder of the day it was started, ISO 8601.
-        robot: Folder of the robot.
-        status: How it ended, `running` while a process holds it, or `damaged`.
-        uid: Identity from the start document, empty when damaged or not written yet.
-        problem: Why it is damaged, else empty.
+        path: Path of the run directory.
+        number: Run number; 0 if the run directory was renamed.
+        date: Name of the day folder (ISO 8601 date on which the run was started).
+        robot: Name of the robot folder.
+        status: Final status of the run, `running` if a process holds the lock of the run, or
+            `damaged`.
+        uid: Identity from the start document; empty if the run is damaged or the document is
+            missing.
+        problem: Reason why the run is damaged; empty if the run is not damaged.
     """
 
     path: Path
@@ -69,38 +71,41 @@ class RunListing:
 
 
 def run_listings(runs_root: Path) -> list[RunListing]:
-    """Return every run under `runs_root`, by number; damaged directories are listed as such.
+    """Return a listing for every run under `runs_root`, sorted by run number.
+
+    Damaged run directories are included with the status `damaged`. For a folder that does not
+    exist, the list of runs is empty.
 
     Raises:
-        DataError: `runs_root` is a file. A folder that does not exist holds no runs.
+        DataError: The path `runs_root` is a file.
     """
     listings = [listing_of(path) for path in run_paths(runs_root)]
     return sorted(listings, key=lambda run: (run.number, run.path))
 
 
 def run_paths(runs_root: Path) -> list[Path]:
-    """Return every run directory under `runs_root`, damaged ones too; nothing in them is read.
+    """Return every run directory under `runs_root`, even if damaged, without reading files.
 
     Raises:
-        DataError: `runs_root` is a file.
+        DataError: The path `runs_root` is a file.
     """
     if runs_root.exists() and not runs_root.is_dir():
         raise DataError(
-            f"{runs_root} is not a folder of runs but a file",
-            hint="give the folder that holds them: --runs DIR",
+            f"{runs_root} is a file, not a folder of runs",
+            hint="name the folder that contains the runs: --runs DIR",
         )
     return [path for path in run_folders(runs_root) if is_run(path)]
 
 
 def listing_of(path: Path) -> RunListing:
-    """Return the line of one run directory."""
+    """Return path, identity and status of one run directory."""
     live, uid, problem = is_live(path), "", ""
     status: ListedStatus = "damaged"
     try:
         run = RunDirectory.open(path)
         status, uid = "running" if live else run.status, str(run.start.get("uid", ""))
     except DataError as error:
-        # A live run may not have written its start document yet.
+        # A live run has possibly not written its start document yet.
         status, problem = ("running", "") if live else ("damaged", error.message)
     except OSError as error:
         problem = str(error)
@@ -116,15 +121,17 @@ def listing_of(path: Path) -> RunListing:
 
 
 def find_run(name: str, runs_root: Path) -> Path:
-    """Return the run directory of a name.
+    """Return the run directory with a given name.
 
     Args:
-        name: A path, a directory's name, a number (`42`), the name of an experiment for its newest
-            run, or `last` for the newest run of all.
-        runs_root: The folder of runs.
+        name: Path of a run directory, name of a run directory, run number (`42`), name of an
+            experiment (selects the newest run of the experiment), or `last` (selects the newest run
+            of all).
+        runs_root: Path of the folder of runs.
 
     Raises:
-        DataError: It is a recording instead of a run, or no run under `runs_root` is called so.
+        DataError: The name is the path of a recording, matches several runs, or matches no run
+            under `runs_root`.
     """
     path = Path(name)
     if path.is_dir():
@@ -138,7 +145,7 @@ def find_run(name: str, runs_root: Path) -> Path:
         return called[0]
     if called:
         listed = ", ".join(str(run) for run in called)
-        raise DataError(f"{len(called)} runs are called {name}: {listed}", hint="give the path")
+        raise DataError(f"{len(called)} runs are called {name}: {listed}", hint="use the path")
     candidates = [run for run in folders if number_of(run)]
     if name != LAST:
         own = name_for_path(name)
@@ -151,37 +158,44 @@ def find_run(name: str, runs_root: Path) -> Path:
 
 
 def _no_run(file: Path) -> DataError:
-    """Return the error for a file where a run directory is needed, with what to do instead."""
+    """Return the error for a file that was passed instead of a run directory, with a hint."""
     if not file.name.endswith((".mcap", f".mcap{PARTIAL_SUFFIX}")):
         return DataError(f"{file} is a file, not a run directory", hint="list them with: hil runs")
     run = file.resolve().parent.parent
     if (run / "start.json").is_file():
-        hint = f"its run: hil show {run}"
+        hint = f"show the run of the recording: hil show {run}"
     else:
-        hint = f"it is data, not a run; fit it: hil fit {file} --estimator NAME"
+        hint = f"fit a model to the recording: hil fit {file} --estimator NAME"
     return DataError(f"{file} is a recording, not a run directory", hint=hint)
 
 
 def find_source(named: str, runs_root: Path) -> Path:
-    """Return the recording or run that a person means: a path, else as of `find_run`.
+    """Return the path of a recording or a run whose path or name a user passed.
+
+    Args:
+        named: Path of a recording or a run, or a run name that `find_run` accepts.
+        runs_root: Path of the folder of runs.
 
     Raises:
-        DataError: As `find_run`; not for a path, whose reader says what is wrong with it.
+        DataError: The name matches no run or several runs; see `find_run`. This function does not
+            check whether a path exists; the function that reads the file raises its own errors.
     """
     path = Path(named)
-    is_path = path.exists() or path.name != named or path.suffix == ".mcap"  # no run's name ends so
+    # The name of a run never ends with .mcap.
+    is_path = path.exists() or path.name != named or path.suffix == ".mcap"
     return path if is_path else find_run(named, runs_root)
 
 
 def find_model(named: str, runs_root: Path) -> Path:
-    """Return the folder of the model that a person means.
+    """Return the model folder whose path a user passed, or whose run a user passed.
 
     Args:
-        named: The folder, or a run with one model: by path, or as of `find_run`.
-        runs_root: The folder of runs.
+        named: Path of a model folder, or a run with exactly one model (path of the run, or name
+            that `find_run` accepts).
+        runs_root: Path of the folder of runs.
 
     Raises:
-        DataError: There is none, or there are several.
+        DataError: The name matches no model or several models.
     """
     try:
         path = find_source(named, runs_root)
@@ -192,10 +206,10 @@ def find_model(named: str, runs_root: Path) -> Path:
 
 
 def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:
-    """Return one entry per run directory, damaged and interrupted ones included, oldest first.
+    """Return one entry per run directory, sorted by run number, including damaged runs.
 
-    Keys: `run`, `status`, `robot`, `date`, `uid`, `duration_s`, `verdict`, `studies`, `problem`,
-    `next` (the command that completes the run; empty if nothing is left to do).
+    An entry has the keys `run`, `status`, `robot`, `date`, `uid`, `duration_s`, `verdict`,
+    `studies`, `problem` and `next` (command that completes the run; empty if the run is complete).
     """
     return [
         entry_of(listing) | {"next": next_command(listing)} for listing in run_listings(Path(runs))
@@ -203,7 +217,7 @@ def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:
 
 
 def next_command(listing: RunListing) -> str:
-    """Return the command that completes a run; empty if nothing is left to do."""
+    """Return the command that completes a run; empty if the run is complete."""
     run = RunDirectory(listing.path)
     if listing.status in ("running", "damaged") or run.is_reported:
         return ""
@@ -224,7 +238,7 @@ def next_command(listing: RunListing) -> str:
 
 
 def _document(path: Path) -> dict[str, Any] | None:
-    """Return a JSON document; None if the file is missing or damaged, as no view fails for that."""
+    """Return a JSON document; None if the file is missing or damaged."""
     try:
         return read_json(path) if path.is_file() else None
     except (DataError, OSError):
@@ -235,10 +249,11 @@ _STUDY_FILES = "study/*/study.json"
 
 
 def describe_run(run: str | Path) -> dict[str, Any]:
-    """Return everything that the JSON files of a run directory say.
+    """Return the contents of the JSON documents of a run directory.
 
     Raises:
-        DataError: It is no run directory, or was written by a newer version.
+        DataError: The path is not a run directory, or the run was written by a newer version of
+            hil.
     """
     directory = RunDirectory.open(Path(run))
     status = "running" if is_live(directory.path) else directory.status
@@ -262,14 +277,14 @@ def describe_run(run: str | Path) -> dict[str, Any]:
 
 
 def _study(file: Path) -> dict[str, Any] | None:
-    """Return the summary of a study; its tables and curves are in the file."""
+    """Return the summary of a study without its tables and curves, which only its file contains."""
     document = _document(file)
     keys = ("study", "title", "summary", "parameters", "seconds", "warnings")
     return document and {key: document.get(key) for key in keys}
 
 
 def _number_in(document: Mapping[str, Any], key: str) -> float | None:
-    """Return a number that SQLite can hold; None if anything else stands there, NaN included."""
+    """Return a number that fits into SQLite; None for NaN, infinity and values of other types."""
     value = document.get(key)
     if not isinstance(value, int | float) or isinstance(value, bool):
         return None
@@ -277,7 +292,7 @@ def _number_in(document: Mapping[str, Any], key: str) -> float | None:
 
 
 def entry_of(listing: RunListing) -> dict[str, Any]:
-    """Return an entry of `list_runs`, but for `next`."""
+    """Return an entry of `list_runs` without the key `next`."""
     stop: dict[str, Any] = {}
     with contextlib.suppress(DataError, OSError):
         stop = RunDirectory(listing.path).stop or {}
@@ -295,7 +310,7 @@ def entry_of(listing: RunListing) -> dict[str, Any]:
 
 
 def _recorded_s(listing: RunListing) -> float | None:
-    """Return the duration [s] that a run without stop document has recorded; None if unknown."""
+    """Return the recorded duration [s] of a run without stop document; None if it is unknown."""
     if listing.status not in ("interrupted", "running"):
         return None
     with contextlib.suppress(OSError):
@@ -304,28 +319,32 @@ def _recorded_s(listing: RunListing) -> float | None:
 
 
 def _method_of(file: Path) -> str:
-    """Return the study or estimator of a document in a folder `NAME-DIGEST`."""
+    """Return the name of the study or estimator whose document is in a folder `NAME-DIGEST`."""
     return file.parent.name.rpartition("-")[0]
 
 
 def facts_of(path: Path) -> dict[str, Any]:
-    """Return an entry of `hil runs QUERY`: what `hil runs` says of a run, and what is compared.
+    """Return the entry of a run for `hil runs QUERY`: listed values and all searchable values.
 
-    Keys beside those of `hil.list_runs`: `number`, `name`, `description`, `started` (ISO 8601),
-    `arm`, `serial`, `operator`, `reason`, `samples`, `gaps`, `loads_kg`, `occasion`, and `fits`:
-    `{estimator, unit, rmse}` each, the mean of the joints' `rmse_raw` on what was held out.
+    The entry has the keys of `hil.list_runs` except `next`, and additionally `number`, `name`,
+    `description`, `started` (ISO 8601), `arm`, `serial`, `operator`, `reason`, `samples`, `gaps`,
+    `loads_kg`, `occasion` and `fits`. Each item of the list `fits` is `{estimator, unit, rmse}`;
+    `rmse` is the mean over the joints of `rmse_raw` on the hold-out set.
 
     Args:
-        path: The run directory; it may be damaged.
+        path: Path of the run directory, which is possibly damaged.
+
+    Raises:
+        FileNotFoundError: The run directory was deleted in the meantime.
     """
     listing = listing_of(path)
     entry = entry_of(listing) | {"number": listing.number}
     try:
         return entry | _from_documents(path)
     except FileNotFoundError:
-        raise  # deleted meanwhile: it is no entry at all
-    except Exception as error:  # one odd run keeps no other from the list
-        problem = f"what it says cannot be read: {type(error).__name__}: {error}"
+        raise  # the run was deleted in the meantime, so it has no entry
+    except Exception as error:  # one invalid run must not break the list
+        problem = f"its documents cannot be read: {type(error).__name__}: {error}"
         return entry | _NOTHING | {"status": "damaged", "problem": problem}
 
 
@@ -372,11 +391,11 @@ def _text(value: Any) -> str:
 
 
 LARGEST_SPEC = 262_144
-"""Bytes; a longer spec is not searched for a description."""
+"""Maximum size of a spec [bytes] in which a description is searched for."""
 
 
 def _description(spec: Path) -> str:
-    from hil.core import look_into  # a list of runs starts without PyYAML
+    from hil.core import look_into  # PyYAML is imported only when needed
 
     with contextlib.suppress(OSError, ValueError):
         if spec.stat().st_size <= LARGEST_SPEC:
@@ -385,7 +404,7 @@ def _description(spec: Path) -> str:
 
 
 def _loads(value: Any) -> list[float]:
-    """Return the masses of the loads in the order of the spec [kg]."""
+    """Return the masses of the payloads [kg] in the order of the spec."""
     loads = value if isinstance(value, list) else []
     masses = (_number_in(_mapping(load), "mass_kg") for load in loads)
     return [mass for mass in masses if mass is not None]
@@ -405,7 +424,11 @@ def _fit(file: Path) -> dict[str, Any]:
 
 
 def started_s(facts: dict[str, Any]) -> float | None:
-    """Return when a run was started [s, Unix], else the day of its folder; None without either."""
+    """Return the start time of a run [s, Unix time].
+
+    If the start document has no valid time, the date of the day folder is used. None is returned if
+    neither the time in the start document nor the name of the day folder is valid.
+    """
     for moment in (facts["started"], facts["date"]):
         with contextlib.suppress(ValueError, OverflowError, OSError):
             return datetime.fromisoformat(moment).timestamp()

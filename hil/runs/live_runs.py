@@ -1,8 +1,9 @@
-"""Which runs of a folder are live, looked up many times a second at the cost of what has changed.
+"""Cached detection of active runs in a folder, fast enough for many calls per second.
 
-A folder is listed again only when its time of change has moved, and a run that has ended is looked
-into again only when a file in it has come or gone. Times of change are coarse: what was changed a
-moment ago counts as not settled, and is looked at once more.
+A folder is listed again only if its modification time has changed since the last listing. A
+finished run is examined again only if a file was added to or removed from its directory.
+Modification times are coarse; therefore, a folder that was changed less than `SETTLED_NS` ago is
+examined again on the next call.
 """
 
 from __future__ import annotations
@@ -18,17 +19,20 @@ from hil.core import LOCK, DataError, is_live, read_json
 from hil.recording import folders_in, is_run
 
 SETTLED_NS = 2 * 10**9
-"""A folder that was changed more lately may have been changed once more at the same time stamp."""
+"""Minimum time since the last change of a folder before its listing is reused [ns].
+
+A folder that was changed more recently can change again with the same modification time.
+"""
 
 
 class KnownRuns:
-    """The runs of a folder: which are live, and which were started under a name.
+    """Cache of the runs in a folder, for finding active runs and runs started under a given name.
 
-    A run that has ended leaves no `.lock`; to hold it again one is made, which changes its folder.
-    Safe from any thread.
+    A finished run has no `.lock` file. A process that resumes a run creates the file `.lock`, which
+    changes the modification time of the run directory. All methods of this class are thread-safe.
 
     Args:
-        root: The folder of runs.
+        root: Path of the folder of runs.
     """
 
     def __init__(self, root: Path) -> None:
@@ -40,11 +44,11 @@ class KnownRuns:
         self._started: dict[Path, str] = {}
 
     def live(self, within_s: float = 0.0) -> list[Path]:
-        """Return the runs that processes hold.
+        """Return the active runs, whose locks are held by a process.
 
         Args:
-            within_s: Age up to which the last look at ended runs still counts [s]: a run that is
-                resumed meanwhile is missed. New runs never are.
+            within_s: Maximum time since the last check of finished runs [s]. A finished run that
+                was resumed after the last check is missed; new runs are always found.
         """
         with self._looking:
             sweep = time.monotonic() - self._swept >= within_s
@@ -52,10 +56,10 @@ class KnownRuns:
                 self._swept = time.monotonic()
             runs = self._runs()
             live = [run for run in runs if self._may_be_live(run, sweep) and is_live(run)]
-            return [run for run in live if is_run(run)]  # not a series or a fleet at work
+            return [run for run in live if is_run(run)]  # exclude active series and fleets
 
     def started_as(self, name: str) -> list[Path]:
-        """Return the runs made by the process of that name, see `hil.recording.provenance`."""
+        """Return the runs that were started under a given name (see `hil.recording.provenance`)."""
         with self._looking:
             return [run for run in self._runs() if self._name_of(run) == name]
 
@@ -64,11 +68,11 @@ class KnownRuns:
         return [run for day in days for robot in self._in(day) for run in self._in(robot)]
 
     def _in(self, parent: Path) -> list[Path]:
-        """Return `folders_in`, listed again only when the folder has changed."""
+        """Return the subfolders of a folder; the folder is listed again only if it has changed."""
         changed, settled = _changed(parent)
         known = self._folders.get(parent)
         if known is None or not known.settled or known.changed != changed:
-            # What was known of the folders in it goes: others may have taken their names.
+            # Forget the subfolders: other runs may now have the same names.
             for folder in known.folders if known is not None else ():
                 self._ended.pop(folder, None)
                 self._started.pop(folder, None)
@@ -82,7 +86,7 @@ class KnownRuns:
         if self._ended.get(run) == changed:
             return False
         self._ended.pop(run, None)
-        # A killed run leaves its lock: resuming it would change nothing in the folder.
+        # A killed run leaves its lock file, so resuming the run does not change the folder.
         if os.path.lexists(run / LOCK):
             return True
         if settled:
@@ -90,7 +94,7 @@ class KnownRuns:
         return False
 
     def _name_of(self, run: Path) -> str:
-        """Return the name a run was started under, remembered: `start.json` is written once."""
+        """Return the name under which a run was started, cached after the first read."""
         name = self._started.get(run)
         if name is None:
             try:
@@ -103,7 +107,7 @@ class KnownRuns:
 
 @dataclass(slots=True)
 class _Folder:
-    """The folders in a folder, and when it was last changed [ns]."""
+    """Names of the subfolders of a folder, and the time of the folder's last change [ns]."""
 
     changed: int
     settled: bool
@@ -111,7 +115,10 @@ class _Folder:
 
 
 def _changed(folder: Path) -> tuple[int, bool]:
-    """Return when a folder was last changed [ns, 0 without one], and whether long enough ago."""
+    """Return the modification time of a folder, and whether it is older than `SETTLED_NS`.
+
+    The modification time of the folder is in nanoseconds, or 0 if the folder does not exist.
+    """
     try:
         changed = os.stat(folder).st_mtime_ns
     except OSError:
@@ -120,7 +127,7 @@ def _changed(folder: Path) -> tuple[int, bool]:
 
 
 def known_runs(root: Path) -> KnownRuns:
-    """Return what this process remembers of a folder of runs."""
+    """Return the cache that this process uses for a folder of runs."""
     return _known(root.absolute())
 
 

@@ -1,9 +1,11 @@
-"""Which runs registered models came from: runs that no policy may delete.
+"""Training runs of registered models, which no retention policy may delete.
 
-A version's facts name its run, its training sources and the digests of their recordings. A run that
-any of them fits is kept (`Origins.why`); if they say too little, every run that may be meant is
-kept. A run that was renamed leaves its models with a name that leads nowhere: it is still found by
-the rows that a model remembers of its training data (`hil.data.Sketch`, `why_by_rows`).
+Each model version stores its run, its training sources and the digests of its training recordings.
+A run is kept if its identity, its name or the digest of a recording matches a model version
+(`Origins.why`). If a model version stores too little information, every run that possibly matches
+is kept. A run that was renamed after the training of a model no longer matches the model by name. A
+renamed run is recognized by the rows of training data that the model stores (`hil.data.Sketch`,
+`why_by_rows`).
 """
 
 from __future__ import annotations
@@ -26,13 +28,14 @@ from hil.recording import PARTIAL_SUFFIX, RunDirectory
 
 @dataclass(frozen=True, slots=True)
 class Vague:
-    """A version that was fitted to recordings without a known digest.
+    """Model version that was fitted to recordings whose digests are not stored.
 
     Attributes:
-        names: Of these recordings; empty if they are not known either.
-        serial: Of the robot; empty if not known.
-        registered: When it was registered: no later run can be meant.
-        why: The reason for keeping a run that may be meant.
+        names: Names of the recordings; empty if the names are not known either.
+        serial: Serial number of the robot; empty if it is unknown.
+        registered: Registration time of the model version (ISO 8601); a run that started later
+            cannot be a training run.
+        why: Reason that is reported for keeping a run that is possibly a training run.
     """
 
     names: frozenset[str]
@@ -41,7 +44,10 @@ class Vague:
     why: str
 
     def may_be(self, facts: Mapping[str, Any]) -> bool:
-        """Return whether a run is of the same arm and was started before, as far as known."""
+        """Return whether a run is of the same robot and was started before the registration.
+
+        An unknown serial number or time counts as a match.
+        """
         if self.serial and facts["serial"] and self.serial != facts["serial"]:
             return False
         try:
@@ -54,7 +60,7 @@ class Vague:
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """A version that was fitted to a run of this name, which may have been renamed since."""
+    """Model version whose training run is known only by name and possibly has a new name."""
 
     name: str
     model: Path
@@ -62,20 +68,23 @@ class Lost:
 
 
 _BELOW = 3
-"""Parts of a run's path that stay when all runs are moved together: day, robot, directory."""
+"""Number of last path components that identify a run in any folder of runs.
+
+The path components are the day, the robot and the run directory.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Origins:
-    """What models and probes came from, each with the reason for keeping it.
+    """Training data of models and probe runs of champions, with reasons for keeping these data.
 
     Attributes:
-        uids: Identities of runs, and digests of recordings that were probes.
-        folders: Last parts of the paths of runs.
-        names: Names of run directories.
-        digests: SHA-256 of recordings.
-        vague: Versions whose runs may be any of several.
-        by_name: Versions that know a training run by nothing but its name.
+        uids: Identities of runs, and digests of recordings that were used as probes.
+        folders: Last `_BELOW` path components of run directories.
+        names: Names of the run directories of training runs and probe runs.
+        digests: SHA-256 digests of the recordings.
+        vague: Model versions whose training runs cannot be identified uniquely.
+        by_name: Model versions with a training run that is known only by its name.
     """
 
     uids: dict[str, str] = field(default_factory=dict)
@@ -86,14 +95,14 @@ class Origins:
     by_name: list[Lost] = field(default_factory=list)
 
     def why(self, run: Path, facts: Mapping[str, Any]) -> str:
-        """Return why a run has to stay; empty if no model came from it.
+        """Return the reason for keeping a run; empty if no model depends on the run.
 
         Args:
-            run: Its directory.
-            facts: See `hil.runs.listing.facts_of`.
+            run: Path of the run directory.
+            facts: Entry of the run with the keys described in `hil.runs.listing.facts_of`.
 
         Raises:
-            DataError: Its documents or recordings cannot be read.
+            DataError: The documents or recordings of the run cannot be read.
         """
         why = self.uids.get(facts["uid"]) or self.names.get(run.name)
         if why := why or self.folders.get(run.resolve().parts[-_BELOW:]):
@@ -107,7 +116,7 @@ class Origins:
         return next((why for digest, why in self.digests.items() if digest in digests), "")
 
     def add_version(self, version: ModelVersion) -> None:
-        """Add what a version came from."""
+        """Add the training data of a model version."""
         facts = version.facts
         why = f"{version.name} {version.label} was fitted to it"
         of_run = facts.get("run") or {}
@@ -116,7 +125,7 @@ class Origins:
         if folder := of_run.get("folder", ""):
             self.folders[Path(str(folder)).parts[-_BELOW:]] = why
         trained = [str(name).removesuffix(PARTIAL_SUFFIX) for name in facts.get("trained_on") or ()]
-        # Training sources are named by their last part: recordings, or run directories.
+        # A training source is the name of a recording or of a run directory.
         files = [name for name in trained if name.endswith(".mcap")]
         folders = [name for name in trained if name not in files]
         self.names.update(dict.fromkeys(folders, why))
@@ -126,14 +135,18 @@ class Origins:
         self.digests.update(dict.fromkeys(digests.values(), why))
         unknown = _without_digest(files, digests)
         if unknown or not (of_run or trained or digests):
-            what = min(unknown, default="it does not say what")
-            why = f"it may be what {version.name} {version.label} was fitted to ({what})"
+            what = min(unknown, default="the model does not name its data")
+            why = f"{version.name} {version.label} was possibly fitted to it ({what})"
             serial = str(facts.get("serial") or "")
             self.vague.append(Vague(unknown, serial, version.registered, why))
 
 
 def _digests(run: Path, recordings: Iterable[Path]) -> set[str]:
-    """Return the SHA-256 of a run's recordings: from its stop documents, else of the files."""
+    """Return the SHA-256 digests of the recordings of a run.
+
+    The digests are read from the stop documents; for recordings that these documents omit, the
+    digests are computed from the files.
+    """
     noted: dict[str, str] = {}
     for document in run.glob("stop*.json"):
         sums = read_json(document).get("sha256")
@@ -145,25 +158,25 @@ def _digests(run: Path, recordings: Iterable[Path]) -> set[str]:
     except OSError as error:
         raise DataError(
             f"cannot read {error.filename}: {error.strerror or error}",
-            hint="see whether it exists and may be read",
+            hint="check whether it exists and its permissions",
         ) from error
 
 
 def _without_digest(files: Iterable[str], digests: Iterable[str]) -> frozenset[str]:
-    """Return the names of recordings of which fewer have a digest than a model was fitted to."""
+    """Return the names of recordings that are more frequent in `files` than in the digests."""
     known = Counter(Path(name).name.removesuffix(PARTIAL_SUFFIX) for name in digests)
     return frozenset(Counter(files) - known)
 
 
 def origins(registries: Iterable[Path]) -> Origins:
-    """Return what the models of registries came from, and the probes of their champions.
+    """Return the training data of all models in the registries and the probes of their champions.
 
     Args:
-        registries: Folders; each must be there.
+        registries: Paths of the registry folders; each folder must exist.
 
     Raises:
-        RegistryError: One is not there, or anything in it cannot be read: runs of its models are
-            unknown then.
+        RegistryError: A registry does not exist or cannot be read completely; its training runs are
+            therefore unknown.
     """
     known = Origins()
     for root in registries:
@@ -172,7 +185,7 @@ def origins(registries: Iterable[Path]) -> Origins:
         except OSError as error:
             raise RegistryError(
                 f"cannot read the registry {root}: {error.strerror or error}",
-                hint="nothing is deleted before all registries can be read",
+                hint="nothing is deleted until all registries can be read",
             ) from error
     return known
 
@@ -184,7 +197,7 @@ def _collect(root: Path, known: Origins) -> None:
         )
     registry = Registry(root)
     for name in registry.names():
-        # Read first: a version that is missing without a repair is an error of the log.
+        # Read the log first: a damaged log must raise even if version folders are missing.
         champion = registry.aliases(name).champion
         for version in registry.versions(name):
             known.add_version(version)
@@ -192,19 +205,18 @@ def _collect(root: Path, known: Origins) -> None:
             if probe.champion == champion:
                 why = f"it is a probe of {name} v{champion}"
                 known.uids.setdefault(probe.uid, why)
-                known.digests.setdefault(probe.uid, why)  # the probe may be a recording
+                known.digests.setdefault(probe.uid, why)  # the uid of a probe can be a digest
 
 
 def why_by_rows(lost: Iterable[Lost]) -> Callable[[Path], str]:
-    """Return a function of a run that returns why it has to stay, by its rows.
+    """Return a function that checks by means of stored rows whether a run was used for training.
 
-    The function returns an empty text if no model remembers a row of the run.
+    The returned function maps a run directory to the reason for keeping the run. The returned
+    reason is empty if no model stores a row of the run. The returned function raises RegistryError
+    if a model version cannot be read.
 
     Args:
-        lost: Versions whose training sources are not found by name.
-
-    Raises:
-        RegistryError: (the function) A version cannot be read.
+        lost: Model versions whose training sources are not found by name.
     """
     versions = list(lost)
     sketch = cache(_sketch)
@@ -216,23 +228,23 @@ def why_by_rows(lost: Iterable[Lost]) -> Callable[[Path], str]:
         try:
             data = load_source(run, any_arm=True)
         except HilError as error:
-            return f"it cannot be told whether a model was fitted to it: {error.message}"
+            return f"a model was possibly fitted to it, its data cannot be read: {error.message}"
         return next((one.why for one, rows in remembered if rows.share_known(data) > 0.0), "")
 
     return why
 
 
 def _sketch(model: Path) -> Sketch | None:
-    """Return the rows that a model remembers of its training data; None without any.
+    """Return the rows of training data that a model stores; None if there are no rows.
 
     Raises:
-        RegistryError: It cannot be read.
+        RegistryError: The files of the model cannot be read.
     """
     try:
         training = load_model_file(model).training_
     except HilError as error:
         raise RegistryError(
-            f"{model} does not say what it was fitted to: {error.message}",
-            hint="restore the registry from a backup; nothing is deleted before",
+            f"the training data of {model} are unknown: {error.message}",
+            hint="restore the registry from a backup; nothing is deleted until then",
         ) from error
     return training.rows if training is not None and len(training.rows.smallest) else None

@@ -1,8 +1,9 @@
-"""Queries of runs, such as `robot=ur5-* since=7d rmse<0.1 shoulder`, as SQL with parameters.
+"""Parser for run queries such as `robot=ur5-* since=7d rmse<0.1 shoulder`; yields parametrized SQL.
 
-Every term must be met. A term is a key, a comparison and a value, or a word that is looked for in
-name, description and operator. Terms about fits (`estimator`, `rmse`) must be met by one and the
-same fit of the run.
+A run matches a query if the run matches every term of the query. A query term is either a key, a
+comparison operator and a value, or a search word that must occur in the name, the description or
+the operator of the run. If a query has several terms about fits (`estimator`, `rmse`), one and the
+same fit of the run must match all of them.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _TERM = re.compile(r"([A-Za-z_-]+)\s*(<=|>=|!=|==|=|<|>)(.*)", re.DOTALL)
 TEXTS = (
     "run", "name", "robot", "arm", "serial", "operator", "status", "verdict", "occasion", "uid",
 )  # fmt: skip
-"""Compared as they are written; `*`, `?` and `[…]` stand for others."""
+"""Keys whose values are compared as text; a value can contain the wildcards `*`, `?` and `[…]`."""
 
 NUMBERS = ("number", "duration", "samples", "gaps", "load")
 OF_FITS = ("estimator", "rmse")
@@ -42,11 +43,11 @@ Condition = tuple[str, tuple[Any, ...]]
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """Conditions in SQL, all of which must hold.
+    """SQL conditions, all of which a run must satisfy.
 
     Attributes:
-        conditions: With `?` for every value.
-        values: In the order of the question marks.
+        conditions: SQL expressions with a question mark for every value.
+        values: Values in the order of the question marks.
     """
 
     conditions: tuple[str, ...]
@@ -54,9 +55,9 @@ class Query:
 
     @property
     def select(self) -> str:
-        """The statement that selects path and entry of the runs."""
+        """SQL statement that selects the path and the catalogue entry of the matching runs."""
         where = " AND ".join(f"({one})" for one in self.conditions) or "1"
-        return f"SELECT path, entry FROM runs WHERE {where}"  # noqa: S608 - values are parameters
+        return f"SELECT path, entry FROM runs WHERE {where}"  # noqa: S608 - values are SQL parameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,19 +69,19 @@ class _Term:
 
 
 def sqlite_text(text: str) -> str:
-    """Return a text that SQLite takes: names of files, and terms, may be of any bytes."""
+    """Return a text that SQLite accepts, with invalid characters of file names replaced."""
     return text.encode("utf-8", "replace").decode()
 
 
 def parse(terms: Iterable[str], now: float | None = None) -> Query:
-    """Return the query of some terms.
+    """Parse the query terms and return the SQL condition for runs.
 
     Args:
-        terms: As typed.
-        now: What durations count back from [s, Unix]; by default the present moment.
+        terms: Query terms as the user typed them.
+        now: Reference time for durations such as `7d` [s, Unix time]; defaults to the current time.
 
     Raises:
-        SpecError: One cannot be understood.
+        SpecError: A query term cannot be parsed.
     """
     now = time.time() if now is None else now
     words: list[str] = []
@@ -109,10 +110,10 @@ def parse(terms: Iterable[str], now: float | None = None) -> Query:
 def _word(text: str) -> str:
     key = _SYNONYMS.get(text, text)
     if key in (*NUMBERS, *OF_FITS, *TIMES):
-        # The shell takes `duration>60` without quotes as `duration`, redirected into a file `60`.
+        # Without quotes, the shell redirects `duration>60` to a file `60` and passes `duration`.
         raise SpecError(
-            f"{text!r} alone asks nothing",
-            hint=f"compare it with something, in quotes: '{key}{_example(key)}'",
+            f"{text!r} lacks a comparison",
+            hint=f"add an operator and a value, in quotes: '{key}{_example(key)}'",
         )
     return text.strip()
 
@@ -127,9 +128,9 @@ def _term(text: str, key: str, comparison: str, value: str) -> _Term:
     known = _SYNONYMS.get(key.lower().replace("-", "_"), key.lower())
     if known not in KEYS:
         hint = did_you_mean(key, (*KEYS, *_SYNONYMS))
-        raise SpecError(f"{text!r}: runs cannot be asked for {key!r}", hint=hint)
+        raise SpecError(f"{text!r}: unknown key {key!r}", hint=hint)
     if not value.strip():
-        raise SpecError(f"{text!r} lacks a value", hint=f"such as {known}{_example(known)}")
+        raise SpecError(f"{text!r} lacks a value", hint=f"for example: {known}{_example(known)}")
     comparison = "=" if comparison == "==" else comparison
     allowed: tuple[str, ...] = ("=",) if known in TIMES else ("=", "!=", "<", "<=", ">", ">=")
     if known in (*TEXTS, "estimator"):
@@ -147,7 +148,7 @@ def _text(term: _Term) -> Condition:
     words = _WORDS.get(term.key, ())
     if words and not pattern and term.value not in words:
         raise SpecError(
-            f"{term.text!r}: {term.key} is never {term.value!r}",
+            f"{term.text!r}: unknown {term.key} {term.value!r}",
             hint=did_you_mean(term.value, words),
         )
     sql = f"{term.key} GLOB ?" if pattern else f"{term.key} = ?"
@@ -155,7 +156,11 @@ def _text(term: _Term) -> Condition:
 
 
 def _of_fits(terms: list[_Term]) -> list[Condition]:
-    """Return what one and the same fit must meet, and estimators that no fit may have."""
+    """Return the SQL condition that results from the terms about fits.
+
+    One and the same fit must match all terms about fits; estimators excluded by a term must not
+    occur in any fit of the run.
+    """
     excluded = [term for term in terms if term.key == "estimator" and term.comparison == "!="]
     conditions = [_exists([_text(replace(term, comparison="="))], "NOT ") for term in excluded]
     required = [
@@ -182,19 +187,23 @@ def _number(term: _Term) -> float:
             value = duration_of(term.value).total_seconds()
     if not math.isfinite(value):
         raise SpecError(
-            f"{term.text!r}: {term.value!r} is no number",
-            hint=f"such as {term.key}{_example(term.key)}",
+            f"{term.text!r}: {term.value!r} is not a number",
+            hint=f"for example: {term.key}{_example(term.key)}",
         )
     return value
 
 
 def _time(term: _Term, now: float) -> Condition:
-    """Return a condition on the start: `7d` counts back from now, a day is whole and local time."""
+    """Return the SQL condition on the start time of a run.
+
+    A duration such as `7d` is subtracted from the time `now`. A date without a time means the whole
+    day in local time.
+    """
     since = term.key == "since"
     sql = "started >= ?" if since else "started < ?"
 
     def midnight(text: str) -> float:
-        day = date.fromisoformat(text) + timedelta(days=0 if since else 1)  # until its end
+        day = date.fromisoformat(text) + timedelta(days=0 if since else 1)  # `until` is inclusive
         return datetime(day.year, day.month, day.day).timestamp()
 
     readers: tuple[Callable[[str], float], ...] = (
@@ -206,6 +215,6 @@ def _time(term: _Term, now: float) -> Condition:
         with contextlib.suppress(ValueError, OverflowError, OSError):
             return sql, (read(term.value),)
     raise SpecError(
-        f"{term.text!r}: {term.value!r} is no time",
-        hint=f"{term.key}=2026-11-21, {term.key}=2026-11-21T14:30 or, back from now, {term.key}=7d",
+        f"{term.text!r}: {term.value!r} is neither a date, nor a time, nor a duration",
+        hint=f"{term.key}=2026-11-21, {term.key}=2026-11-21T14:30 or {term.key}=7d (7 days ago)",
     )

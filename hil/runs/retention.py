@@ -1,13 +1,16 @@
-"""Retention of runs: which ones a policy deletes, why the others stay, and their removal.
+"""Retention of runs: selects the runs that a policy deletes, explains the rest, and deletes runs.
 
-`decide` deletes nothing. It returns a decision per run with the reason for keeping it, from the
-strongest to the weakest: a link leads to it; it is live, damaged, interrupted, or a model was
-fitted to it (`hil.runs.origins`); the policy keeps it; it belongs to a series or fleet of which
-another run has to stay, as the runs of a group say something only together.
+The function `decide` deletes nothing and returns one decision per run. If several reasons for
+keeping a run apply, the strongest reason is reported. The strongest reason is a symbolic link that
+leads to the run. The next strongest reason is that the run is live, damaged or interrupted, or that
+a model was fitted to the run (`hil.runs.origins`). Reasons of medium strength are the criteria of
+the policy. The weakest reason is that the run belongs to a series or fleet in which another run is
+kept, because the runs of a group are useful only together.
 
-`remove` checks each run again just before it deletes it, and deletes so that a kill leaves no run
-that looks whole: the run is renamed in one step to a name that no longer counts, and removed then.
-What a killed deletion has left (`leftovers`), the next one removes.
+The function `remove` checks each run again immediately before the deletion. A run that is deleted
+is first renamed to a name that all listings ignore. Therefore, if the process is killed, no partly
+deleted run looks like a complete run. The next deletion also deletes the folders that a killed
+deletion left behind (`leftovers`).
 """
 
 from __future__ import annotations
@@ -50,15 +53,16 @@ from hil.runs.origins import Origins, origins, why_by_rows
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """Which runs may be deleted: those that meet all of it.
+    """Retention policy: a run may be deleted only if it meets all criteria.
 
     Attributes:
-        terms: Of a query (`hil.runs.query`): only runs that meet them.
-        older: Only runs that were started longer ago than this.
-        keep: Only runs after which so many of the same robot and experiment were measured in full.
-        interrupted: Also runs that were interrupted.
-        recordings_only: Delete recordings; documents, models and reports stay.
-        typed: `older` as it was typed; empty if it was not.
+        terms: Query terms (`hil.runs.query`) that a run must match.
+        older: Minimum age of a run, measured from the start of the run.
+        keep: Minimum number of newer completed runs of the same robot and experiment.
+        interrupted: Whether interrupted runs may also be deleted.
+        recordings_only: Whether only recordings are deleted, while documents, models and reports
+            are kept.
+        typed: Text that the user typed for `older`; empty if the user typed none.
     """
 
     terms: tuple[str, ...] = ()
@@ -70,11 +74,11 @@ class Policy:
 
     @property
     def age(self) -> str:
-        """`older` in words; empty without it."""
+        """Minimum age as text; empty if the policy has no minimum age."""
         return self.typed or ("" if self.older is None else duration_text(self.older))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the policy as a JSON-compatible dictionary."""
         return {
             "query": list(self.terms),
             "older_than": self.age or None,
@@ -86,13 +90,13 @@ class Policy:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """Whether one run is deleted.
+    """Decision whether one run is to be deleted.
 
     Attributes:
-        run: Its directory.
-        why: Why it stays; empty if it goes.
-        guarded: It stays whatever the policy says.
-        size: Of what would be deleted [bytes].
+        run: Path of the run directory.
+        why: Reason for keeping the run; empty if the run is to be deleted.
+        guarded: Whether the run is kept regardless of the policy.
+        size: Total size of the files that would be deleted [bytes].
     """
 
     run: Path
@@ -102,39 +106,40 @@ class Decision:
 
     @property
     def goes(self) -> bool:
-        """Whether it is deleted: the policy allows it, and nothing else speaks against it."""
+        """Whether the run is to be deleted; true if there is no reason for keeping the run."""
         return not self.why
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the decision as a JSON-compatible dictionary."""
         return {"run": str(self.run), "goes": self.goes, "why": self.why, "bytes": self.size}
 
 
 def decide(
     runs: Path, policy: Policy, registries: Iterable[Path], now: float | None = None
 ) -> list[Decision]:
-    """Return what a policy decides about each run of its query, the lowest number first.
+    """Return the decisions of a policy on all runs that its query selects, sorted by run number.
 
     Args:
-        runs: The folder of runs.
-        policy: What may go.
-        registries: Folders of models; each must be there.
-        now: For ages [s, Unix]; by default the present moment.
+        runs: Path of the folder of runs.
+        policy: Retention policy that is applied.
+        registries: Paths of the registry folders; each folder must exist.
+        now: Reference time for ages [s, Unix time]; defaults to the current time.
 
     Raises:
-        SpecError: The policy would delete every run, or a term cannot be understood.
-        RegistryError: A registry cannot be read: then nothing may go.
+        SpecError: The policy would delete every run, or a query term cannot be parsed.
+        RegistryError: A registry cannot be read; in this case, no run may be deleted.
         DataError: A folder below `runs`, or the document of a series or of a run, cannot be read.
     """
     if policy.older is None and policy.keep is None:
         raise SpecError(
-            "this policy would let every run go",
-            hint="say which may: --older-than 180d, --keep 20 (of a robot and experiment), or both",
+            "this policy would delete every run",
+            hint="limit it: --older-than 180d, --keep 20 (newest of each robot and experiment), "
+            "or both",
         )
     _require_readable(runs)
     known = origins(registries)
     queried = {run["run"] for run in find_runs(*policy.terms, runs=runs)}
-    # Every run is decided on, whatever the query: one that stays may keep the others of its group.
+    # Decide on every run: one outside the query can protect the others of its group.
     entries = find_runs(runs=runs)
     newer = _measured_after(entries)
     at = time.time() if now is None else now
@@ -147,7 +152,7 @@ def decide(
             decisions.append(Decision(run, why, guarded=True))
         else:
             decisions.append(_by_policy(run, facts, policy, newer[facts["run"]], at))
-    # Last, and only for runs that would go: all samples are read to recognise a run by its rows.
+    # Only for runs still selected: recognizing a run by its rows requires reading all samples.
     names = {path.name for path in run_folders(runs)}
     by_rows = why_by_rows(one for one in known.by_name if one.name not in names)
     for k, one in enumerate(decisions):
@@ -158,25 +163,28 @@ def decide(
 
 
 def _require_readable(runs: Path) -> None:
-    """Raise if runs, or groups that keep runs, may lie in folders that cannot be read."""
+    """Raise if one of the folders of runs, series or fleets cannot be read.
+
+    An unreadable folder possibly contains a series or fleet that protects other runs.
+    """
     refused = unreadable_folders(runs) + SeriesGroup.unreadable(runs) + FleetGroup.unreadable(runs)
     if refused:
         raise DataError(
             "\n".join(f"cannot read {folder}: {why}" for folder, why in refused),
-            hint="nothing is deleted before: what lies there may keep other runs; "
-            "see whether you may read it",
+            hint="check the permissions; nothing is deleted until this can be read, because a "
+            "series or fleet in it may protect other runs",
         )
 
 
 def _measured_after(entries: Sequence[dict[str, Any]]) -> dict[str, int]:
-    """Return, by run, how many of its robot and experiment were measured in full after it.
+    """Return the number of later completed runs of the same robot and experiment, by run path.
 
     Args:
-        entries: As of `hil.runs.catalogue.find_runs`.
+        entries: Entries of the runs, as returned by `hil.runs.catalogue.find_runs`.
     """
     count: Counter[tuple[str, str]] = Counter()
     newer: dict[str, int] = {}
-    by_identity: dict[str, int] = {}  # a link to a run, or its copy, counts as that run
+    by_identity: dict[str, int] = {}  # a link to a run or a copy of it counts once
     for run in sorted(entries, key=lambda one: (started_s(one) or 0.0, one["number"]))[::-1]:
         kind, identity = (run["robot"], run["name"]), run["uid"] or run["run"]
         if identity not in by_identity:
@@ -187,14 +195,18 @@ def _measured_after(entries: Sequence[dict[str, Any]]) -> dict[str, int]:
 
 
 def _in_full(facts: Mapping[str, Any]) -> bool:
-    """Return whether a run can replace an older one: no commissioning run, and nothing wrong."""
+    """Return whether a run counts as a newer completed run that replaces an older run.
+
+    Only a completed run with recordings can replace an older run, except if the run was rejected or
+    is a commissioning run.
+    """
     run = Path(facts["run"])
     good = facts["status"] == "completed" and facts["verdict"] != "rejected"
     return good and bool(RunDirectory(run).recordings) and "commissioning" not in _start_of(run)
 
 
 def _start_of(run: Path) -> Mapping[str, Any]:
-    """Return the start document of a run; empty if it is damaged."""
+    """Return the start document of a run; empty if the document is damaged."""
     try:
         return read_json(run / "start.json")
     except DataError:
@@ -202,9 +214,10 @@ def _start_of(run: Path) -> Mapping[str, Any]:
 
 
 def _why_link(run: Path, policy: Policy) -> str:
-    """Return why a run that is reached by a link stays; empty without a link on the way.
+    """Return the reason for keeping a run to which a symbolic link leads; empty without a link.
 
-    Its target may lie outside the folder of runs; if it lies inside, it is listed by itself.
+    The target of a link is possibly outside the folder of runs. A target inside the folder of runs
+    is listed as a separate run.
     """
     if any(part.is_symlink() for part in (run, *run.parents[:2])):  # DAY/ROBOT/RUN
         return "it is a link"
@@ -214,19 +227,19 @@ def _why_link(run: Path, policy: Policy) -> str:
 
 
 def _guard(run: Path, facts: Mapping[str, Any], known: Origins, policy: Policy) -> str:
-    """Return why a run stays whatever the policy says; empty if it need not stay.
+    """Return the reason for keeping a run regardless of the policy; empty without a reason.
 
     Raises:
-        DataError: Its documents cannot be read.
+        DataError: The documents of the run cannot be read.
     """
     if facts["status"] == "running":
         return "it is live"
     if facts["status"] == "damaged":
-        return f"it is damaged, what it was is unknown: {facts['problem']}"
+        return f"it is damaged and its content is unknown: {facts['problem']}"
     if why := known.why(run, facts):
         return why
     if facts["status"] == "interrupted" and not policy.interrupted:
-        return f"it was interrupted: hil resume {run}, or let it go with --interrupted"
+        return f"it was interrupted: hil resume {run}, or delete it with --interrupted"
     return ""
 
 
@@ -244,26 +257,29 @@ def _by_policy(
 
 
 def _size_of(run: Path, policy: Policy) -> int:
-    """Return how much would be deleted of a run [bytes]."""
+    """Return the total size of the files that the deletion of a run would delete [bytes]."""
     folder = run / "recording" if policy.recordings_only else run
     return sum(file.lstat().st_size for file in folder.rglob("*") if file.is_file())
 
 
 def _series(runs: Path) -> list[tuple[str, set[Path]]]:
-    """Return the name and the runs of each series."""
+    """Return the name and the paths of the run directories of each series."""
     groups = []
     for path in filter(SeriesGroup.is_at, SeriesGroup.folders(runs)):
         try:
             members = SeriesGroup.open(path).members()
         except DataError as error:
-            hint = "nothing is deleted before; its folder is a view and may be moved away"
+            hint = (
+                "nothing is deleted until the series can be read; repair its folder or move it "
+                "away: it contains no runs"
+            )
             raise DataError(error.message, hint=hint) from error
         groups.append((path.name, {one.run.resolve() for one in members if one.run is not None}))
     return groups
 
 
 def _fleets(runs: Path, paths: Iterable[Path]) -> list[tuple[str, set[Path]]]:
-    """Return the name and the runs of each fleet, by what the runs themselves say."""
+    """Return the name and the run directories of each fleet, as stored in the runs themselves."""
     known = {path.parts[-3:] for path in FleetGroup.folders(runs)}  # DAY/fleet/fleet-NAME
     groups: defaultdict[tuple[str, ...], set[Path]] = defaultdict(set)
     for run in paths if known else ():
@@ -273,13 +289,15 @@ def _fleets(runs: Path, paths: Iterable[Path]) -> list[tuple[str, set[Path]]]:
 
 
 def _keep_groups(decisions: list[Decision], groups: list[tuple[str, set[Path]]]) -> list[Decision]:
-    """Return the decisions, with every run of a group guarded of which one run is guarded."""
+    """Return the decisions, changed so that a guarded run also guards its series or fleet."""
     guarded = {one.run.resolve(): one for one in decisions if one.guarded}
     reasons: dict[Path, str] = {}
     for name, members in groups:
         for member in members & guarded.keys():
             one = guarded[member]
-            reasons |= dict.fromkeys(members, f"it is of {name}, as {one.run.name}: {one.why}")
+            reasons |= dict.fromkeys(
+                members, f"it belongs to {name}, whose run {one.run.name} stays: {one.why}"
+            )
     return [
         replace(one, why=reasons[path], guarded=True, size=0)
         if not one.guarded and (path := one.run.resolve()) in reasons
@@ -289,7 +307,7 @@ def _keep_groups(decisions: list[Decision], groups: list[tuple[str, set[Path]]])
 
 
 TRASH = ".trash-"
-"""Beginning of the names of folders that are being deleted; no run begins with a dot."""
+"""Prefix for names of folders that are being deleted; names of runs never start with a dot."""
 
 
 def remove(
@@ -299,21 +317,22 @@ def remove(
     registries: Iterable[Path],
     tell: Callable[[Decision], None] = lambda _: None,
 ) -> list[Decision]:
-    """Delete the runs that go, after checking each of them again.
+    """Check the runs that are to be deleted again, and delete them.
 
     Args:
-        decisions: From `hil.runs.retention.decide`.
-        runs: The folder of runs.
-        policy: That they were decided by.
-        registries: Folders of models, read again for every run.
-        tell: Called with every run that is gone.
+        decisions: Decisions on the runs, as returned by `hil.runs.retention.decide`.
+        runs: Path of the folder of runs.
+        policy: Retention policy on which the decisions are based.
+        registries: Paths of the registry folders, which are read again for every run.
+        tell: Callback that is called after each deletion with the decision on the deleted run.
 
     Returns:
-        The decisions as they turned out: a run that is live by now, or has a model, stays.
+        Final decisions. A run is kept if it has become live, or has been used for a model, since
+        the decision.
 
     Raises:
-        RegistryError: A registry cannot be read.
-        RecordingError: The disk refuses.
+        RegistryError: One of the registries cannot be read.
+        RecordingError: The file system does not permit a deletion.
     """
     for left in leftovers(runs):
         shutil.rmtree(left, ignore_errors=True)
@@ -327,13 +346,13 @@ def remove(
 
 
 def _remove(run: Path, policy: Policy, registries: list[Path]) -> str:
-    """Delete a run; return why it stays after all, empty if it is gone."""
+    """Delete a run and return an empty text, or return the reason for keeping the run."""
     if why := _why_link(run, policy):
         return why
-    with _refused(run, "nothing of it is deleted yet"):
+    with _refused(run, "none of its files has been deleted"):
         try:
             with hold_run(run):
-                # It counts as live while it is held here: its status is asked for apart.
+                # The lock held here makes the run look live, so its own status is used.
                 facts = facts_of(run) | {"status": RunDirectory.open(run).status}
                 if why := _guard(run, facts, origins(registries), policy):
                     return why
@@ -341,12 +360,12 @@ def _remove(run: Path, policy: Policy, registries: list[Path]) -> str:
                     trash = _renamed(run)
                 else:
                     directory = RunDirectory(run)
-                    if not (run / PRUNED).exists():  # else a deletion that was killed wrote it
+                    if not (run / PRUNED).exists():  # written by a killed deletion otherwise
                         directory.write_json(PRUNED, _pruned_document(directory, policy))
                     trash = _renamed(run / "recording")
         except DataError as error:
             return error.message
-    with _refused(trash, "the rest of it does not count and goes with the next hil prune --yes"):
+    with _refused(trash, "the next hil prune --yes deletes the remaining files"):
         shutil.rmtree(trash)
     if not policy.recordings_only:
         _remove_empty_parents(run)
@@ -360,12 +379,12 @@ def _refused(folder: Path, state: str) -> Iterator[None]:
     except OSError as error:
         raise RecordingError(
             f"cannot delete {folder}: {error.strerror or error}",
-            hint=f"see whether it may be written to; {state}",
+            hint=f"check its permissions; {state}",
         ) from error
 
 
 def _pruned_document(directory: RunDirectory, policy: Policy) -> dict[str, Any]:
-    """Return what `pruned.json` says of the recordings that are about to be deleted."""
+    """Return the content of `pruned.json` for the recordings that are about to be deleted."""
     sizes = {
         path.relative_to(directory.path).as_posix(): path.stat().st_size
         for path in sorted((directory.path / "recording").rglob("*"))
@@ -381,7 +400,7 @@ def _pruned_document(directory: RunDirectory, policy: Policy) -> dict[str, Any]:
 
 
 def _renamed(folder: Path) -> Path:
-    """Rename a folder, in one step and for good, to a name that no longer counts; return it."""
+    """Rename a folder atomically to a trash name that listings ignore, and return the new path."""
     trash = folder.with_name(f"{TRASH}{uuid.uuid4().hex[:8]}-{folder.name}")
     folder.rename(trash)
     fsync_directory(folder.parent)
@@ -389,26 +408,32 @@ def _renamed(folder: Path) -> Path:
 
 
 _PAST_AFTER = timedelta(days=7)
-"""Folders of younger days stay, even if empty: a run may still begin in one of them."""
+"""Minimum age of an empty day folder before its removal.
+
+More recent day folders are kept, because a process possibly creates a run in them at the same time.
+"""
 
 
 def _remove_empty_parents(run: Path) -> None:
-    """Remove the folders of the robot and the day if they are empty and the day is long past."""
-    with contextlib.suppress(OSError, ValueError):  # not empty, or no folder of a day
+    """Remove the robot folder and the day folder of a run if they are empty and old enough."""
+    with contextlib.suppress(OSError, ValueError):  # not empty, or not a day folder
         if date.fromisoformat(run.parents[1].name) < date.today() - _PAST_AFTER:
             run.parent.rmdir()
             run.parents[1].rmdir()
 
 
 def leftovers(runs: Path) -> list[Path]:
-    """Return what a deletion that was killed has left."""
+    """Return the folders that an interrupted deletion left behind."""
     robots = [robot for day in _without_links(runs) for robot in _without_links(day)]
     places = [*robots, *(run for robot in robots for run in _without_links(robot))]
     return [path for place in places for path in _trash_in(place)]
 
 
 def _without_links(folder: Path) -> list[Path]:
-    """Return the folders in a folder that are no links: nothing outside the runs is deleted."""
+    """Return the subfolders of a folder that are not symbolic links.
+
+    Links are not followed, so that nothing outside the folder of runs is deleted.
+    """
     return [path for path in folders_in(folder) if not path.is_symlink()]
 
 

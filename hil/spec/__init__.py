@@ -1,4 +1,4 @@
-"""YAML to typed, frozen specs."""
+"""Conversion of YAML files to typed, immutable specs."""
 
 import lazy_loader
 

@@ -1,11 +1,12 @@
-"""What people and editors are told about the keys of the YAML files, all made from the models.
+"""Documentation of the keys of the YAML files for users and editors, generated from the models.
 
-- `explain_key` and the reference page: each key's unit, default and meaning
-  (`python -m hil.spec.documentation docs/reference/spec.md` writes the page);
-- JSON Schema, so that editors complete keys and mark mistakes while typing
-  (`python -m hil.spec.documentation experiments/schema` writes those of the shipped specs);
-- comments in templates: a line that ends in `#?` gets the description of its key, and what stands
-  behind `#?` is added to it. Comments can say nothing else than the reference page does.
+- `explain_key` and the reference page show unit, default and meaning of each key (`python -m
+  hil.spec.documentation docs/reference/spec.md` writes the page);
+- the JSON Schema lets editors complete keys and mark errors while typing (`python -m
+  hil.spec.documentation experiments/schema` writes the schemas of the shipped specs);
+- comments in templates describe the keys: a line that ends in `#?` gets the description of its key,
+  followed by the text after `#?`. The comments in templates therefore contain the same texts as the
+  reference page.
 """
 
 from __future__ import annotations
@@ -37,16 +38,17 @@ from hil.spec.station import Station
 
 @dataclass(frozen=True, slots=True)
 class KeyInfo:
-    """What there is to know about one key.
+    """Documentation of one key of a YAML file.
 
     Attributes:
-        path: Dotted path without list indices: `loads.mass_kg`.
-        kind: The `kind` of the mapping it belongs to, empty where there are no kinds.
-        unit: Symbol of its unit, empty without one.
-        allowed: The values it takes, in words.
-        default: Its default as YAML, `required` without one.
-        meaning: What it says.
-        file: The kind of file it is in: `experiment`, `station`, `series`, `schedule` or `fleet`.
+        path: Dotted path of the key without list indices: `loads.mass_kg`.
+        kind: Value of `kind` in the mapping that contains the key; empty if the mapping has no
+            kinds.
+        unit: Symbol of the key's unit; empty for a key without a unit.
+        allowed: Allowed values of the key, as text.
+        default: Default value of the key as YAML; `required` if there is no default.
+        meaning: Meaning of the key, as a sentence.
+        file: Kind of YAML file: `experiment`, `station`, `series`, `schedule` or `fleet`.
     """
 
     path: str
@@ -65,11 +67,11 @@ MODELS: dict[str, Model] = {
     "schedule": ScheduleSpec,
     "fleet": FleetSpec,
 }
-"""The YAML files by what they are called."""
+"""Pydantic model of each kind of YAML file."""
 
 
 def keys_below(model: Model) -> Iterator[KeyInfo]:
-    """All keys of a file, from the top downwards."""
+    """Yield the documentation of all keys of a kind of file, from top to bottom."""
     for path, owner in tree(model):
         for key, field in keys_of(owner).items():
             yield _info((*path, key), owner, field)
@@ -89,7 +91,7 @@ def _info(path: KeyPath, owner: Model, field: FieldInfo) -> KeyInfo:
 
 
 def _allowed(annotation: Any, metadata: Sequence[Any] = ()) -> str:
-    """The values of an annotation in words."""
+    """Return the allowed values of an annotation as text."""
     if get_origin(annotation) is Annotated:
         inner, *more = get_args(annotation)
         return _allowed(inner, [*metadata, *more])
@@ -148,10 +150,10 @@ def _default(field: FieldInfo) -> str:
 
 
 def explain_key(path: str) -> list[KeyInfo]:
-    """What a dotted path in a file means; several entries if kinds share it.
+    """Return the meaning of a dotted path in a file; several entries if kinds share the key.
 
     Raises:
-        SpecError: There is no such key.
+        SpecError: The kind of file has no such key.
     """
     wanted = tuple(step for step in path.split(".") if not step.isdigit())
     known = [
@@ -161,12 +163,12 @@ def explain_key(path: str) -> list[KeyInfo]:
     if not found:
         match = _meant(wanted, sorted({info.path for info in known}))
         hint = f"did you mean {match!r}?" if match else "all keys: docs/reference/spec.md"
-        raise SpecError(f"no spec has the key {'.'.join(wanted)!r}", hint=hint)
+        raise SpecError(f"unknown key {'.'.join(wanted)!r}", hint=hint)
     return [info for info in found if info.path.count(".") == len(wanted) - 1] or found
 
 
 def _ends_in(info: KeyInfo, wanted: tuple[str, ...]) -> bool:
-    """Whether a path ends in these steps; an entry of a dict goes by any name."""
+    """Return whether a path ends in these steps; an entry of a dict matches any name."""
     steps = info.path.split(".")[-len(wanted) :]
     return len(steps) == len(wanted) and all(
         step in (given, "<name>") for step, given in zip(steps, wanted, strict=True)
@@ -174,14 +176,14 @@ def _ends_in(info: KeyInfo, wanted: tuple[str, ...]) -> bool:
 
 
 def _meant(wanted: Sequence[str], paths: Sequence[str]) -> str | None:
-    """The path, or the end of one, that a person most likely meant."""
+    """Return the path, or the end of a path, that the user most likely meant."""
     typed = ".".join(wanted)
     ends = {".".join(path.split(".")[-len(wanted) :]) for path in paths}
     return closest(typed, paths) or closest(typed, sorted(ends))
 
 
 def section_of(info: KeyInfo) -> str:
-    """Title of the reference page's section that a key is in."""
+    """Return the title of the section of the reference page that contains a key."""
     above = info.path.rpartition(".")[0]
     kind = f" with `kind: {info.kind}`" if info.kind else ""
     return f"`{above}`{kind}" if above else "Top of the file"
@@ -189,22 +191,22 @@ def section_of(info: KeyInfo) -> str:
 
 _HEAD = """# Keys of the YAML files
 
-This page is made from the models in `hil/spec` by `python -m hil.spec.documentation`; a test
-keeps it up to date. In an editor with YAML support the first line of the shipped specs
-(`# yaml-language-server: $schema=…`) brings the same texts while you type.
+This page is generated from the models in `hil/spec` by `python -m hil.spec.documentation`; a test
+keeps it up to date. An editor with YAML support shows the same texts while you type, because the
+first line of every shipped spec names its schema (`# yaml-language-server: $schema=…`).
 
-- Quantities carry their unit in the key: `dwell_s: 0.095`, never `dwell: 95 ms`.
-- A key that is not listed here is an error, with a guess at what was meant.
+- The key of a quantity contains the unit: `dwell_s: 0.095`, never `dwell: 95 ms`.
+- A key that is not listed here is an error; the message suggests the intended key.
 - Scalars follow YAML 1.2: `1e-3` is a number; `on`, `yes` and `12:30` are text.
-- Anchors and aliases (`&a`, `*a`) are allowed; with all aliases followed, a file may
-  hold 10 000 values and 2 more for each of its characters, in at most 40 levels. A larger file is
-  rejected during parsing.
-- Relative paths start at the folder of the file they stand in.
-- A `kind` decides which other keys there are."""
+- Anchors and aliases (`&a`, `*a`) are allowed. With all aliases expanded, a file may contain
+  10 000 values plus 2 per character, in at most 40 levels. A larger file is rejected during
+  parsing.
+- Relative paths start at the folder of the file that contains them.
+- The value of `kind` determines the other keys of its mapping."""
 
 
 def reference() -> str:
-    """The reference page in Markdown."""
+    """Return the reference page in Markdown."""
     parts = [_HEAD]
     for file, model in MODELS.items():
         parts += [f"## {file.capitalize()}", _sections(model)]
@@ -238,10 +240,10 @@ def schema_of(kind: str) -> dict[str, Any]:
 
 
 class _WithUnits(GenerateJsonSchema):
-    """Pydantic's generator, with titles that say the unit instead of spelling the key again."""
+    """Schema generator of pydantic with units in the titles."""
 
     def get_title_from_name(self, name: str) -> str:
-        """`mass_kg` → `mass [kg]`."""
+        """Return the title of a key, for example `mass [kg]` for `mass_kg`."""
         unit = symbol_of(name)
         words = split_unit(name)[0].replace("_", " ")
         return f"{words} [{unit}]" if unit else words
@@ -249,7 +251,7 @@ class _WithUnits(GenerateJsonSchema):
 
 @cache
 def schema_files() -> dict[str, str]:
-    """Return the text of every schema file by its name."""
+    """Return the text of every schema file by name."""
     return {
         f"{kind}.schema.json": json.dumps(schema_of(kind), indent=2, ensure_ascii=False) + "\n"
         for kind in MODELS
@@ -257,30 +259,30 @@ def schema_files() -> dict[str, str]:
 
 
 def write_schemas(folder: Path) -> None:
-    """Write the schema files into a folder, which is made if need be."""
+    """Write the schema files into a folder; create the folder if it does not exist."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in schema_files().items():
         (folder / name).write_text(text, "utf-8")
 
 
 COLUMN = 36
-"""Where comments begin, and where whoever writes a line behind a template's key goes on."""
+"""Column at which the comments of a template begin."""
 
 WIDTH = 100
 
 NARROWEST = 40
-"""Comments that have less room stand above their line."""
+"""Minimum width of a comment behind its line; a narrower comment is placed above the line."""
 
 
 def commented(text: str, model: Model) -> str:
-    """A template with the comments of a model's keys.
+    """Return a template with comments that describe its keys.
 
     Args:
-        text: YAML whose lines may end in `  #? more`.
-        model: What the file is an instance of.
+        text: YAML text of the template, whose lines may end in ` #? more`.
+        model: Pydantic model of the file.
 
     Raises:
-        SpecError: A marked line is of a key that the model has not.
+        SpecError: A line with the mark `#?` has a key that does not exist in the model.
     """
     known = list(keys_below(model))
     return "\n".join(line for one in _lines(text) for line in _written(one, known)) + "\n"
@@ -292,7 +294,7 @@ _LINE = re.compile(
 
 
 def _lines(text: str) -> Iterator[tuple[str, tuple[str, ...], str]]:
-    """Each line with the path of its key and the `kind` of the mapping it is in."""
+    """Yield each line of a template with the path of its key and the `kind` of its mapping."""
     stack: list[tuple[int, str]] = []
     kinds: dict[tuple[str, ...], str] = {}
     for line in text.splitlines():
@@ -334,11 +336,11 @@ def _written(line: tuple[str, tuple[str, ...], str], known: list[KeyInfo]) -> It
 
 
 def _info_of(path: tuple[str, ...], kind: str, known: list[KeyInfo]) -> KeyInfo:
-    """The key at a path; entries of a dict go by any name."""
+    """Return the documentation of the key at a path; entries of a dict match any name."""
     for info in known:
         if info.kind in ("", kind) and _is_at(info, path):
             return info
-    raise SpecError(f"a template has the key {'.'.join(path)}, which no file may have")
+    raise SpecError(f"a template contains the unknown key {'.'.join(path)}")
 
 
 def _is_at(info: KeyInfo, path: tuple[str, ...]) -> bool:
@@ -353,7 +355,7 @@ def _wrapped(comment: str, width: int) -> list[str]:
 
 
 def comment_of(info: KeyInfo, more: str = "") -> str:
-    """A sentence about a key: unit and range, meaning, and what else there is to say."""
+    """Return a sentence about a key: unit and range, meaning, and additional text."""
     allowed = info.allowed.replace("`", "")
     limits = re.sub(r"^(whole )?number ?", "", allowed)
     if not re.match(r"(whole )?number", allowed):
@@ -364,19 +366,21 @@ def comment_of(info: KeyInfo, more: str = "") -> str:
 
 
 def describe_keys(key: str) -> list[dict[str, Any]]:
-    """Return all about a key, in the form of `hil explain --json`; several entries if kinds differ.
+    """Return the documentation of a key in the format of `hil explain --json`.
 
-    Keys that several mappings share in the same words are described once, without a kind.
+    The list has several entries if the key has different meanings in different kinds. If several
+    mappings share a key with the same texts, the list contains one entry for the key, without a
+    kind.
 
     Args:
-        key: Dotted path in a file, or its end.
+        key: Dotted path in a file, or the end of a dotted path.
 
     Raises:
-        SpecError: There is no such key.
+        SpecError: No kind of YAML file has this key.
     """
     wanted = key.strip().strip(".")
     if "" in wanted.split(".") or wanted.replace(".", "").isdigit():
-        raise SpecError(f"{key!r} is no key", hint="hil explain excitation.dwell_s")
+        raise SpecError(f"{key!r} is not a key", hint="for example: hil explain excitation.dwell_s")
     infos: dict[tuple[str, ...], KeyInfo] = {}
     for info in explain_key(wanted):
         words = (info.file, info.path, info.allowed, info.default, info.meaning)
@@ -399,16 +403,17 @@ def describe_keys(key: str) -> list[dict[str, Any]]:
 
 
 def _below(info: KeyInfo) -> list[KeyInfo]:
-    """Return the keys of the mapping that a key holds, of all its kinds."""
+    """Return the keys of the mapping at a key, for all kinds of this mapping."""
     known = keys_below(MODELS[info.file])
-    above = (info.path, f"{info.path}.<name>")  # entries of a dict have names of their own
+    above = (info.path, f"{info.path}.<name>")  # entries of a dict have arbitrary names
     return [replace(one, file=info.file) for one in known if one.path.rpartition(".")[0] in above]
 
 
 def example_of(info: KeyInfo) -> str:
-    """Return a line with a key: as `hil new` writes it, else with its default.
+    """Return an example line for a key: as in the templates of `hil new`, else with the default.
 
-    A mapping is shown with the first of its keys that has such a line; empty if none has.
+    For a mapping, the example shows the first key of the mapping that has an example; the text is
+    empty if no key has an example.
     """
     for code, path, kind in _examples():
         if info.kind in ("", kind) and _is_at(info, path):
@@ -424,7 +429,7 @@ def example_of(info: KeyInfo) -> str:
 
 @cache
 def _examples() -> tuple[tuple[str, tuple[str, ...], str], ...]:
-    """Lines of the templates: without comment and indentation, with path and kind."""
+    """Return the template lines without comment and indentation, each with path and kind."""
     found = []
     for file in sorted(files("hil.spec").joinpath("templates").iterdir(), key=lambda f: f.name):
         for line, path, kind in _lines(file.read_text("utf-8")):

@@ -1,4 +1,4 @@
-"""First versions of specs, stations and schedules, for people to go on from."""
+"""Drafts of specs, stations and schedules, as a starting point for users (`hil new`)."""
 
 from __future__ import annotations
 
@@ -16,37 +16,41 @@ from hil.spec.schedule import ScheduleSpec
 from hil.spec.station import Station
 
 SCHEMA_FOLDER = "schema"
-"""Beside what is written: a relative path works with every editor, in every checkout, without a
-network, wherever hil is installed."""
+"""Name of the folder for schemas beside the written files.
+
+A relative path to the schema works with every editor, in every checkout, without a network, and
+independently of the installation path of hil.
+"""
 
 DRAFT_KINDS = {
-    "dwell": "gravity and static friction from poses at rest",
+    "dwell": "gravity and static friction from dwells at many poses",
     "fourier": "rigid body and friction from periodic trajectories",
-    "load-sweep": "a model of the bare arm under loads of known mass",
-    "re-identify": "a schedule with its probe and its campaign, in minutes, to try on the mock",
-    "own-urdf": "your own arm from its URDF (--urdf): its description, a station, a first spec",
-    "station": "a bench: robots, their drivers, what stands around them",
+    "load-sweep": "a model of the bare arm, evaluated under loads of known mass",
+    "re-identify": "a schedule with probe and campaign, with short intervals for the mock",
+    "own-urdf": "a custom arm from its URDF (--urdf): description, station and first spec",
+    "station": "a bench: robots, their drivers and their surroundings",
 }
-"""What `hil new` can begin, and what each is."""
+"""Kinds of drafts that `hil new` offers, with their descriptions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """A file that is yet to be written."""
+    """Text of a file that is not written yet."""
 
     path: Path
     text: str
 
 
 def drafts(kind: str, file: Path, *, robot: str, name: str, model: str = "") -> list[Draft]:
-    """The files of a kind, the one that commands are given first.
+    """Return the draft files of a kind; the next commands take the first file as argument.
 
     Args:
-        kind: One of `DRAFT_KINDS`, but for `own-urdf`.
-        file: Where the first one goes; others stand beside it and begin with its name.
-        robot: A robot of the station that they are for.
-        name: What the experiment, station or schedule is called.
-        model: Built-in arm of a station's robot; by default what the robot is called.
+        kind: Kind of draft in `DRAFT_KINDS`, except `own-urdf`.
+        file: Path of the first file; the other files are in the same folder, and their names begin
+            with the name of the first file.
+        robot: Name of the station's robot for which the files are created.
+        name: Name of the experiment, station or schedule in the draft.
+        model: Built-in arm of the station's robot; by default the value of `robot`.
     """
     words = {"robot": robot, "name": name, "file": str(file), "model": model or robot}
     if kind != "re-identify":
@@ -59,7 +63,7 @@ def drafts(kind: str, file: Path, *, robot: str, name: str, model: str = "") -> 
 
 
 def render(template: str, words: dict[str, str]) -> str:
-    """A template with its words filled in and its comments made."""
+    """Return a template with replaced words and generated comments."""
     text = files("hil.spec").joinpath(f"templates/{template}.yaml").read_text("utf-8")
     text = "\n".join(_filled(line, words) for line in text.splitlines()) + "\n"
     [(schema, model)] = _kinds_of(text)
@@ -70,13 +74,14 @@ def render(template: str, words: dict[str, str]) -> str:
 _TEXT = re.compile(
     r"(?P<before> *(\w+: (?![\[{]))?)(?P<text>(?! *(\w+: |- ))[^#]*@\w+@.*?)(?P<after>:?(  #.*)?)"
 )
-"""A line whose value, or whose key, is made of words; lists have numbers."""
+"""Pattern of a template line whose value or key contains words to replace; lists contain
+numbers."""
 
 _WORD = re.compile(r"@(\w+)@")
 
 
 def _filled(line: str, words: dict[str, str]) -> str:
-    """A line of a template; what people named things stays text, whatever YAML takes it for."""
+    """Return a template line with replaced words; replaced names remain text in YAML."""
     found = _TEXT.fullmatch(line)
     if found is None:
         return _put(line, words)
@@ -96,15 +101,18 @@ _MODELS: dict[str, tuple[str, type[Strict]]] = {
 
 
 def _kinds_of(text: str) -> list[tuple[str, type[Strict]]]:
-    """Name of the schema and model of a file by the key it begins with; of an arm none."""
+    """Return the name of the schema and the model of a file by the first key of the file.
+
+    The return values are empty for the description of an arm.
+    """
     return [kind for key, kind in _MODELS.items() if f"\n{key}: 1\n" in text]
 
 
 def require_valid(drafts: list[Draft]) -> None:
-    """Refuse drafts that no command would take; descriptions of arms are not looked at.
+    """Raise if a draft is not valid; descriptions of arms are not checked.
 
     Raises:
-        SpecError: With all that is wrong with the first such draft.
+        SpecError: A draft is not valid; the message lists all problems of the first invalid draft.
     """
     for draft in drafts:
         for _, model in _kinds_of(draft.text):
@@ -112,7 +120,7 @@ def require_valid(drafts: list[Draft]) -> None:
 
 
 def schemas_beside(drafts: list[Draft]) -> list[Draft]:
-    """The schema files that the first lines of drafts name."""
+    """Return the schema files that are named in the first lines of drafts."""
     texts = schema_files()
     named = dict.fromkeys(
         (draft.path.parent / SCHEMA_FOLDER / file, file)

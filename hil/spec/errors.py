@@ -1,7 +1,7 @@
-"""What to tell a lab engineer about a mistake in a file: one plain sentence per kind of mistake.
+"""Error messages for YAML files: one plain sentence per kind of error.
 
-Pydantic's errors become findings first: at the file's own paths, without what only follows from
-another one.
+Errors of pydantic are first converted to findings, with the paths of the file, and without errors
+that are only consequences of other errors.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, 
 
 
 class Finding(NamedTuple):
-    """One error of pydantic, told in terms of the file.
+    """Error of pydantic, expressed with the keys of the file.
 
     Attributes:
-        type: Pydantic's name for this kind of error.
-        path: Keys in the file, without union tags.
-        about_key: True when the key is wrong and not its value.
-        expected: Annotation of what belongs there, None if nothing does.
-        holder: Annotation of the mapping or list around it.
-        value: What was found; the mapping or list around for something missing.
-        ctx: Pydantic's details, such as the limit that was passed.
-        told: Pydantic's own message.
+        type: Name of the error type in pydantic.
+        path: Keys that lead to the invalid value in the file, without union tags.
+        about_key: Whether the key is wrong instead of the value of the key.
+        expected: Annotation of the expected value; None if no value is expected.
+        holder: Annotation of the surrounding mapping or list.
+        value: Invalid value; for a missing key, the surrounding mapping or list.
+        ctx: Details of the error from pydantic, such as the violated limit.
+        told: Error message from pydantic.
     """
 
     type: str
@@ -56,32 +56,32 @@ class Finding(NamedTuple):
 
     @property
     def key(self) -> str:
-        """The last step of the path that is a key."""
+        """Last key in the path of the finding; list indices are skipped."""
         return next((step for step in reversed(self.path) if isinstance(step, str)), "")
 
     @property
     def known_keys(self) -> list[str]:
-        """The keys that the mapping around may have."""
+        """Keys that are allowed in the surrounding mapping."""
         return list(keys_of(self.holder)) if is_model(self.holder) else []
 
     @property
     def meant(self) -> str | None:
-        """The known key that an unknown one most likely stands for."""
+        """Known key that the user most likely meant by the unknown key."""
         return same_quantity(self.key, self.known_keys) or closest(self.key, self.known_keys)
 
     @property
     def is_gap(self) -> bool:
-        """True for a value missing at the end of a list of fixed length."""
+        """Whether a value is missing at the end of a list of fixed length."""
         return self.type == "missing" and bool(self.path) and isinstance(self.path[-1], int)
 
     @property
     def length(self) -> int:
-        """How many values the list of fixed length around a gap has to have."""
+        """Required length of the surrounding list of fixed length."""
         return len(get_args(self.holder))
 
 
 def explain(finding: Finding, model: Model, source: Source) -> Problem:
-    """The problem a finding is, with its place in the file."""
+    """Return the problem for a finding, with its position in the file."""
     path = finding.path[:-1] if finding.is_gap else finding.path
     if finding.type == "extra_forbidden":
         message = _unknown_key(finding, model)
@@ -110,7 +110,7 @@ def _other_unit(key: str, known: str, value: Any) -> str:
 
 
 def _home_of(f: Finding, model: Model) -> str:
-    """Where a key that is unknown here would be right."""
+    """Return where a key that is unknown at this position would be valid; empty if nowhere."""
     for path, owner in tree(model):
         if f.key not in keys_of(owner) or not path:
             continue
@@ -121,21 +121,21 @@ def _home_of(f: Finding, model: Model) -> str:
 
 
 def _what_to_give(source: Source, path: KeyPath) -> str:
-    """What to do about a key without a value; an option of the command line removes none."""
+    """Return the advice for a key without a value; an override cannot remove a key."""
     if source.mark(path).line:
-        return "give it one, or remove the key"
-    return "write one behind the = (an empty list is [], an empty text '')"
+        return "add a value, or remove the key"
+    return "write a value after the = (an empty list is [], an empty text '')"
 
 
 def findings_of(errors: Iterable[ErrorDetails], model: Model, source: Source) -> list[Finding]:
-    """The errors in the order of the file."""
+    """Return the findings for the errors of pydantic, in the order of the file."""
     findings = sorted(
         (_finding(error, model) for error in errors),
         key=lambda f: source.mark(f.path, key=f.about_key),
     )
     unknown = [f for f in findings if f.type == "extra_forbidden"][:MOST_PROBLEMS]
     meant = {(*f.path[:-1], f.meant) for f in unknown}
-    # Whatever echoes what: something is wrong, and it must be said.
+    # If every finding is an echo, report all of them, because at least one is an error.
     return [f for f in findings if not _is_echo(f, meant)] or findings
 
 
@@ -152,12 +152,12 @@ def _finding(error: ErrorDetails, model: Model) -> Finding:
 
 
 def _is_echo(finding: Finding, meant: set[tuple[str | int | None, ...]]) -> bool:
-    """True for what a slip reported elsewhere made pydantic say as well."""
+    """Return whether a finding is only the consequence of an error that is reported elsewhere."""
     if finding.is_gap:
         return finding.path[-1] != len(finding.value)
     if finding.type == "missing":
         return finding.path in meant
-    # A list whose items are wrong counts as empty for pydantic.
+    # Pydantic counts a list with invalid items as empty.
     is_list = isinstance(finding.value, list)
     return (
         finding.type == "too_short" and is_list and len(finding.value) >= finding.ctx["min_length"]
@@ -171,7 +171,7 @@ def _missing(f: Finding) -> str:
     meaning = f": {field.description}" if field and field.description else ""
     others = [key for key in f.value if key not in f.known_keys]
     if slip := closest(f.key, others):
-        return f"is missing; is {slip!r} meant to be it?"
+        return f"is missing; is {slip!r} a misspelling of it?"
     return f"is missing{meaning.rstrip('.')}"
 
 
@@ -180,7 +180,7 @@ def _number(f: Finding) -> str:
         return f"must be a number, not {name_of(f.value)}"
     quantity, in_key = parse_quantity(f.value), split_unit(f.key)[1]
     if quantity and (value := converted(*quantity, in_key)) is not None:
-        return f"the unit is in the key, so just the number: {f.key}: {value}"
+        return f"the key contains the unit, so write only the number: {f.key}: {value}"
     return f"must be a number, not the text {name_of(f.value)}{_slip_in_number(f.value)}"
 
 
@@ -188,12 +188,12 @@ def _slip_in_number(text: str) -> str:
     if is_number(text):
         return ": remove the quotes"
     if re.fullmatch(r"[-+]?\d+,\d+", text):
-        return ": decimals take a point"
+        return ": write a decimal point"
     return ": write it without '_'" if re.fullmatch(r"[-+]?\d+(_\d+)+", text) else ""
 
 
 def name_of(value: Any) -> str:
-    """What a value is, as a person would say it."""
+    """Return a readable description of a value."""
     if isinstance(value, bool):
         return "true" if value else "false"
     names = {type(None): "nothing", list: "a list", dict: "a mapping", str: f"'{shown(value)}'"}
@@ -210,10 +210,10 @@ def _limit(words: str, name: str) -> Callable[[Finding], str]:
 
 def _literal(f: Finding) -> str:
     choices = [str(choice) for choice in choices_of(f.expected)]
-    if not choices:  # in a mapping whose keys only its plug-in knows
+    if not choices:  # in a mapping with keys of a plug-in
         return f.told
     if f.key in ("hil", "hil_station", "hil_series", "hil_schedule", "hil_fleet"):
-        return f"this hil reads format {choices[0]}, not {name_of(f.value)}"
+        return f"this version of hil reads format {choices[0]}, not {name_of(f.value)}"
     if len(choices) == 1:
         return f"must be {choices[0]}, not {name_of(f.value)}"
     match = closest(f.value, choices) if isinstance(f.value, str) else None
@@ -240,7 +240,7 @@ def _too_long(f: Finding) -> str:
 
 
 def _too_short(f: Finding) -> str:
-    return f"must not be empty: at least {f.ctx['min_length']} needed"
+    return f"must not be empty: at least {f.ctx['min_length']} required"
 
 
 def _mapping(f: Finding) -> str:
@@ -268,8 +268,8 @@ _SENTENCES: dict[str, Callable[[Finding], str]] = {
     "string_type": _text,
     "bool_type": lambda f: f"must be true or false, not {name_of(f.value)}",
     "string_pattern_mismatch": lambda f: (
-        "must begin with a letter or digit and hold nothing but letters, digits, '_', '.' and "
-        f"'-', 64 at most, not {name_of(f.value)}"
+        "must begin with a letter or digit and contain only letters, digits, '_', '.' and '-', at "
+        f"most 64 characters, not {name_of(f.value)}"
     ),
     "tuple_type": lambda f: f"must be a list, not {name_of(f.value)}",
     "too_long": _too_long,

@@ -1,9 +1,9 @@
-"""What an experiment YAML may say: typed, frozen, unknown keys refused, units in the keys.
+"""Model of an experiment YAML file: typed, immutable, without unknown keys, with units in the keys.
 
-In the order of the file: what the arm does while it is measured (`Dwell`, `Fourier`, `Optimise`),
-what hangs at its flange (`Load`, `Weigh`), how models are judged (`Validate`, `Accept`), and the
-whole (`ExperimentSpec`). `spec_hash` is the identity of a spec: a hash of what it says, not of how
-it is written.
+The models are in the order of the file: excitation (`Dwell`, `Fourier`, `Optimise`), loads at the
+flange (`Load`, `Weigh`), evaluation of models (`Validate`, `Accept`), and the complete spec
+(`ExperimentSpec`). The function `spec_hash` identifies a spec by a hash of its content, independent
+of its formatting.
 """
 
 from __future__ import annotations
@@ -14,10 +14,19 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SerializeAsAny,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
 
 from hil.arms import Payload
-from hil.core import SpecError
+from hil.core import PluginError, SpecError, plugins
 from hil.spec.field_types import (
     IS_NUMBER,
     Count,
@@ -40,159 +49,187 @@ from hil.spec.interlocks import (
 )
 
 FEWEST = 3
-"""Trajectories with which models are judged under loads."""
+"""Minimum number of trajectories for the evaluation of models with loads."""
 
 
 class WarmUp(Strict):
-    """Motion before measuring, so that friction has settled at working temperature."""
+    """Motion before measuring, so that the joint friction reaches its warm value."""
 
     duration_s: Annotated[float, Field(ge=0, le=14_400), IS_NUMBER] = Field(
-        60.0, description="How long; 0 switches it off."
+        60.0, description="Duration of the warm-up; 0 disables it."
     )
 
 
 class Reference(Strict):
-    """One pose that is measured again and again inside a run, to see drift."""
+    """Reference pose that is measured repeatedly during a run to detect drift."""
 
-    every: Count = Field(50, description="Poses between two visits; 0 switches it off.")
+    every: Count = Field(
+        50,
+        description="Number of poses or trajectories between two visits to the reference poses; 0 "
+        "disables these visits.",
+    )
     q_deg: tuple[Finite, ...] | None = Field(
-        None, description="The pose; by default the first pose of the program."
+        None,
+        description="Reference pose; by default the first pose of a dwell program, or the pose "
+        "with the most free space of a Fourier program.",
     )
 
 
 class Record(Strict):
-    """What is recorded."""
+    """Settings of the recording."""
 
-    rate_hz: Positive | None = Field(None, description="State rate; by default the robot's own.")
+    rate_hz: Positive | None = Field(
+        None,
+        description="Rate at which states are recorded; only the robot's rate is possible, which "
+        "is the default.",
+    )
     rotate_mb: Annotated[float, Field(ge=1, allow_inf_nan=False), IS_NUMBER] = Field(
-        1024.0, description="A recording goes on in a new file beyond this size."
+        1024.0, description="File size above which the recording continues in a new file."
     )
 
 
 class Fit(BaseModel):
-    """One estimator to fit; the keys beside `estimator` are its own parameters."""
+    """Estimator to fit; the keys beside `estimator` are parameters of the estimator."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
-    estimator: str = Field(description="Name under `hil.estimators`, e.g. `static-wls`.")
+    estimator: str = Field(
+        description="Name of an estimator (entry point in `hil.estimators`), e.g. `static-wls`."
+    )
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The estimator's own parameters, as written."""
+        """Parameters of the estimator, as written in the file."""
         return dict(self.model_extra or {})
 
 
 class StudyEntry(BaseModel):
-    """One study of the whole run; the keys beside `study` are its own parameters."""
+    """Study of the whole run; the keys beside `study` are parameters of the study."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
-    study: str = Field(description="Name under `hil.studies`, e.g. `static-separation`.")
+    study: str = Field(
+        description="Name of a study (entry point in `hil.studies`), e.g. `static-separation`."
+    )
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The study's own parameters, as written."""
+        """Parameters of the study, as written in the file."""
         return dict(self.model_extra or {})
 
 
 class Dwell(Strict):
-    """A dwell program: go to many poses, stand still, measure."""
+    """Dwell program: move to many poses and measure at standstill."""
 
-    kind: Literal["dwell"] = Field(description="Chooses the dwell program.")
+    kind: Literal["dwell"] = Field(description="Selects the dwell program.")
     waypoints: Annotated[int, Field(ge=1, le=100_000), IS_NUMBER] = Field(
-        650, description="How many poses, well spread over the joint ranges."
+        650, description="Number of poses, distributed over the joint ranges."
     )
     file: str | None = Field(
         None,
-        description="CSV file of poses, one per row, one column per joint. An optional first line "
-        "names the joints (or `q1` to `q6`), all with `_deg`, all with `_rad`, or all without "
-        "either. A relative path starts at the folder of the spec. `waypoints` has no effect then.",
+        description="CSV file with one pose per row and one column per joint. An optional first "
+        "line names the joints (or `q1` to `q6`): all names end in `_deg`, or all in `_rad`, or "
+        "none of them has a unit. A relative path starts at the folder of the spec. With a file, "
+        "`waypoints` has no effect.",
     )
     file_unit: Literal["deg", "rad"] = Field(
         "deg",
-        description="Unit of the poses in `file`; not needed if the first line states it. If "
-        "neither states it and no angle is beyond 2π, the file is refused.",
+        description="Unit of the poses in `file`; not required if the first line of the file "
+        "states it. If neither states it and no angle exceeds 2π, the file is refused.",
     )
     dwell_s: Annotated[float, Field(ge=0.01, le=600), IS_NUMBER] = Field(
-        0.095, description="Shortest time at rest before the pose is left."
+        0.095, description="Minimum time at standstill in each pose."
     )
     samples_per_dwell: Annotated[int, Field(ge=2, le=10_000), IS_NUMBER] = Field(
-        10, description="Settled samples taken at every pose."
+        10, description="Number of settled samples recorded in each pose."
     )
     settle_rad_s: Positive = Field(
-        0.002, description="All joints slower than this over the samples means settled."
+        0.002,
+        description="Joint speed below which the arm counts as settled; every joint must be "
+        "slower.",
     )
     settle_timeout_s: Annotated[float, Field(gt=0, le=600), IS_NUMBER] = Field(
-        3.0, description="After this the pose is marked as not settled and left."
+        3.0,
+        description="Maximum settling time; then the pose is marked as not settled, and the "
+        "program continues.",
     )
-    seed: Seed = Field(7, description="Decides which poses are drawn, and their order.")
-    max_velocity_deg_s: Positive = Field(60.0, description="Fastest any joint moves.")
-    max_acceleration_deg_s2: Positive = Field(80.0, description="Hardest any joint accelerates.")
-    max_jerk_deg_s3: Positive = Field(800.0, description="Fastest change of acceleration.")
+    seed: Seed = Field(7, description="Seed for the random poses and their order.")
+    max_velocity_deg_s: Positive = Field(60.0, description="Maximum speed of every joint.")
+    max_acceleration_deg_s2: Positive = Field(
+        80.0, description="Maximum acceleration of every joint."
+    )
+    max_jerk_deg_s3: Positive = Field(800.0, description="Maximum jerk of every joint.")
     approach: Literal["both", "positive", "negative", "free"] = Field(
         "both",
-        description="`both` dwells at every pose twice, arriving from below and from above in "
-        "every joint; `free` arrives as the way there happens to end.",
+        description="Approach direction of every joint: `positive` arrives from below, "
+        "`negative` from above, and `both` dwells in every pose twice, once per direction. "
+        "`free` adds no approach motion, so the direction depends on the path.",
     )
-    approach_deg: Positive = Field(3.0, description="How far the last stretch to a pose is.")
+    approach_deg: Positive = Field(
+        3.0, description="Angle that every joint moves in the approach motion to a pose."
+    )
     range_deg: tuple[JointRange, ...] | None = Field(
         None,
-        description="Joint ranges poses are drawn from, one pair per joint; by default those of "
-        "the arm.",
+        description="Joint ranges from which the poses are drawn, one pair per joint; by default "
+        "the ranges of the arm.",
     )
 
     @property
     def stated_unit(self) -> Literal["deg", "rad"] | None:
-        """Unit of the poses in `file` if the spec states it."""
+        """Unit of the poses in `file`; None if the spec does not contain the unit."""
         return self.file_unit if "file_unit" in self.model_fields_set else None
 
 
 class Optimise(Strict):
-    """Trajectories found by optimisation, each to complement those before it.
+    """Optimised trajectories, each of which complements the previous ones.
 
-    `optimise: true` is the same as `optimise: {}`; `false` and `null` draw at random.
+    `optimise: true` is the same as `optimise: {}`; with `false` or `null`, trajectories are random.
     """
 
     objective: Literal["log_det", "condition"] = Field(
         "log_det",
-        description="What is made best: `log_det` makes the parameters' errors small (D-optimal), "
-        "`condition` the condition number of the base regressor, which says how evenly the "
-        "parameters are told and not how well.",
+        description="Quantity to optimise: `log_det` minimises the errors of the parameters "
+        "(D-optimal). `condition` minimises the condition number of the base regressor, which "
+        "states how evenly, but not how accurately, the parameters are determined.",
     )
     scaled: bool = Field(
         True,
-        description="`condition` with every column of the regressor scaled to length 1; "
-        "`false` takes the columns as they are, in mixed units.",
+        description="With `objective: condition`: `true` scales every column of the regressor to "
+        "length 1; `false` uses the columns in their mixed units.",
     )
     friction: bool = Field(
-        False, description="Also tell Coulomb, viscous and offset friction of each joint apart."
+        False,
+        description="Whether the trajectories must also determine Coulomb, viscous and offset "
+        "friction of each joint.",
     )
     rotor: bool = Field(
-        True, description="Also tell the inertia of each joint's rotor apart from its link's."
+        True,
+        description="Whether the trajectories must also determine the rotor inertia of each "
+        "joint, in addition to the inertia of the links.",
     )
     starts: Annotated[int, Field(ge=1, le=1000), IS_NUMBER] = Field(
-        3, description="Random starts for each trajectory, of which the best result is kept."
+        3, description="Number of random starts per trajectory; the best result is used."
     )
     budget_s: Annotated[float, Field(gt=0, le=86_400), IS_NUMBER] = Field(
         120.0,
-        description="Most processor time for one trajectory; when it is reached, the result "
+        description="Maximum processor time per trajectory; if the time is reached, the result "
         "depends on the computer.",
     )
     torque_percent: Annotated[float, Field(gt=0, le=100), IS_NUMBER] = Field(
         80.0,
         description="Share of the arm's torque limits that the nominal rigid body with its "
-        "heaviest load may need; the rest is left to friction and control.",
+        "heaviest load may use; the rest is reserved for friction and control.",
     )
     max_jerk_deg_s3: Positive | None = Field(
-        None, description="Fastest change of acceleration inside a trajectory; by default no limit."
+        None, description="Maximum jerk within a trajectory; by default no limit."
     )
     clearance_mm: NonNegative | None = Field(
         None,
-        description="Distance kept to table, walls and the arm itself; at least the station's "
-        "`clearance_m`, which is the default.",
+        description="Minimum distance to the table, the walls and the arm itself; at least the "
+        "station's `clearance_m`, which is the default.",
     )
     seed: Seed | None = Field(
-        None, description="Decides where the search starts; by default `excitation.seed`."
+        None, description="Seed for the random starts; by default `excitation.seed`."
     )
 
 
@@ -206,45 +243,51 @@ OptionalOptimise = Annotated[
 ]
 
 LONGEST_TRAJECTORY_S = 3600.0
-"""All set-points of one trajectory are in memory together."""
+"""Maximum duration of a trajectory [s]; all set-points of a trajectory are in memory at the same
+time."""
 
 
 class Fourier(Strict):
-    """Finite Fourier series per joint (PINN paper eq. 29), at rest at both ends."""
+    """Finite Fourier series per joint (eq. 29, network paper), at standstill at both ends."""
 
-    kind: Literal["fourier"] = Field(description="Chooses Fourier trajectories.")
+    kind: Literal["fourier"] = Field(description="Selects Fourier trajectories.")
     harmonics: Annotated[int, Field(ge=2, le=50), IS_NUMBER] = Field(
-        5, description="Order of the series: so many sines and cosines per joint."
+        5, description="Order of the series: number of sines and number of cosines per joint."
     )
     fundamental_hz: Annotated[float, Field(ge=0.001, le=10), IS_NUMBER] = Field(
         0.1, description="Frequency of the first harmonic; its inverse is the period."
     )
     periods: Annotated[int, Field(ge=1, le=1000), IS_NUMBER] = Field(
-        1, description="How often each trajectory is repeated without a break."
+        1, description="Number of periods per trajectory, without a break."
     )
     trajectories: Annotated[int, Field(ge=1, le=1000), IS_NUMBER] = Field(
-        12, description="How many different trajectories, each from rest to rest."
+        12, description="Number of different trajectories, each from standstill to standstill."
     )
-    seed: Seed = Field(7, description="Decides which trajectories are drawn.")
-    max_velocity_deg_s: Positive = Field(100.0, description="Fastest any joint moves.")
-    max_acceleration_deg_s2: Positive = Field(300.0, description="Hardest any joint accelerates.")
+    seed: Seed = Field(7, description="Seed for the random trajectories.")
+    max_velocity_deg_s: Positive = Field(100.0, description="Maximum speed of every joint.")
+    max_acceleration_deg_s2: Positive = Field(
+        300.0, description="Maximum acceleration of every joint."
+    )
     max_jerk_deg_s3: Positive = Field(
-        2000.0, description="For the moves between trajectories, not inside them."
+        2000.0,
+        description="Maximum jerk of the moves between trajectories; trajectories themselves "
+        "have no jerk limit.",
     )
     amplitude_deg: Positive = Field(
         90.0,
-        description="Largest excursion from the centre of trajectories that are drawn; optimised "
-        "ones only keep to `range_deg`.",
+        description="Largest excursion of random trajectories from their centre; optimised "
+        "trajectories are limited only by `range_deg`.",
     )
     range_deg: tuple[JointRange, ...] | None = Field(
         None,
-        description="Joint ranges the trajectories stay in, one pair per joint; by default those "
-        "of the arm.",
+        description="Joint ranges in which the trajectories stay, one pair per joint; by default "
+        "the ranges of the arm.",
     )
     optimise: OptionalOptimise = Field(
         None,
-        description="How the trajectories are optimised; `true` takes the defaults, and without "
-        "it the best of a few random draws is taken.",
+        description="Settings of the optimisation of the trajectories; `true` selects the "
+        "default settings. Without optimisation, each trajectory is the best of a few random "
+        "draws.",
     )
 
     @model_validator(mode="after")
@@ -267,34 +310,60 @@ class Fourier(Strict):
         return self
 
 
-Excitation = Annotated[Dwell | Fourier, Field(discriminator="kind")]
+BUILT_IN_EXCITATIONS = ("dwell", "fourier")
 
-# What is longer than ten metres is a slip of the unit, and no flange carries it.
+
+def _plugged_excitation(value: Any, validate: ValidatorFunctionWrapHandler) -> Any:
+    """Validate the section of a plug-in excitation with the model `Spec` of the plug-in.
+
+    Raises:
+        ValueError: The plug-in cannot be loaded, or has no model `Spec`.
+    """
+    kind = value.get("kind") if isinstance(value, dict) else None
+    if kind in BUILT_IN_EXCITATIONS or kind not in plugins.names("hil.excitations"):
+        return validate(value)
+    try:
+        model = plugins.load("hil.excitations", kind).Spec
+    except PluginError as error:
+        raise ValueError(f"{error.message} → {error.hint}") from None
+    return model.model_validate(value)
+
+
+Excitation = Annotated[
+    Dwell | Fourier,
+    Field(discriminator="kind"),
+    WrapValidator(_plugged_excitation),
+    SerializeAsAny(),
+]
+
+# A length above ten metres is probably in the wrong unit; no flange carries such a load.
 Lever = Annotated[float, Field(ge=-10, le=10), IS_NUMBER]
 
 Extent = Annotated[float, Field(gt=0, le=10), IS_NUMBER]
 
 
 class Load(Strict):
-    """A body mounted at the flange for one pass of the excitation."""
+    """Body mounted at the flange for one pass of the excitation."""
 
-    mass_kg: NonNegative = Field(0.0, description="Mass; 0 is the bare flange.")
+    mass_kg: NonNegative = Field(0.0, description="Mass of the load; 0 for the bare flange.")
     com_m: tuple[Lever, Lever, Lever] = Field(
         (0.0, 0.0, 0.0), description="Centre of mass in the flange frame."
     )
     inertia_kgm2: tuple[Finite, Finite, Finite, Finite, Finite, Finite] = Field(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        description="Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, flange axes.",
+        description="Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, in flange axes.",
     )
     size_m: tuple[Extent, Extent] | None = Field(
         None,
-        description="Length and radius of the payload's body along the flange axis, for collision "
-        "checks; a body is assumed from the mass when this is absent.",
+        description="Length and radius of the payload's body along the flange axis, for "
+        "collision checks; by default, a body is estimated from the mass.",
     )
-    prompt: str = Field("", description="What the operator is asked to do before this load.")
+    prompt: str = Field(
+        "", description="Instruction that the operator reads before the measurement with this load."
+    )
 
     def payload(self) -> Payload:
-        """The same load as the robot and the estimators see it."""
+        """Return the load as a payload for robots and estimators."""
         return Payload(self.mass_kg, self.com_m, self.inertia_kgm2)
 
     @model_validator(mode="after")
@@ -309,10 +378,11 @@ class Load(Strict):
 
 
 def _is_inertia_of_a_body(inertia: tuple[float, ...]) -> bool:
-    """True when the second moments of mass tr(I)/2·1 − I are positive semidefinite.
+    """Return whether a rigid body can have the inertia matrix I.
 
-    That holds exactly if the principal moments satisfy the triangle inequality (Traversaro et
-    al., 'Identification of fully physical consistent inertial parameters', IROS 2016).
+    The second moments of mass tr(I)/2·1 − I must be positive semidefinite, which is equivalent to
+    the triangle inequality of the principal moments (Traversaro et al., 'Identification of fully
+    physical consistent inertial parameters', IROS 2016).
     """
     xx, yy, zz, xy, xz, yz = inertia
     half = (xx + yy + zz) / 2
@@ -327,22 +397,26 @@ def _is_inertia_of_a_body(inertia: tuple[float, ...]) -> bool:
 
 
 class Weigh(Strict):
-    """Each load is weighed against the first before it is measured; `weigh: false` switches it off.
+    """Payload check of each load against the first load; `weigh: false` switches it off.
 
-    The default tolerances are measured ones: docs/explanation/weighing.md.
+    The default tolerances were determined by measurements: docs/explanation/weighing.md.
     """
 
     poses: Annotated[int, Field(ge=0, le=10), IS_NUMBER] = Field(
-        2, description="How many poses, each from both sides; 0 switches weighing off."
+        2,
+        description="Number of poses of the payload check, each approached from both sides; 0 "
+        "disables the check.",
     )
     tolerance_kg: Positive = Field(
-        0.15, description="How far from the declared mass the weighed one may be, for any load."
+        0.15, description="Allowed difference between declared and identified mass, for any load."
     )
     tolerance_percent: NonNegative = Field(
-        10.0, description="So much more of the load's mass difference to the first load."
+        10.0,
+        description="Additional allowed mass difference, as a share of the difference between "
+        "the masses of the load and of the first load.",
     )
     tolerance_com_m: Positive = Field(
-        0.03, description="How far from the declared centre of mass the weighed one may be."
+        0.03, description="Allowed distance between declared and identified centre of mass."
     )
 
 
@@ -353,46 +427,47 @@ def _off(value: Any) -> Any:
 OptionalWeigh = Annotated[
     Weigh | None, BeforeValidator(_off, json_schema_input_type=Weigh | Literal[False] | None)
 ]
-"""`weigh: false` and `weigh: null` say the same."""
+"""Settings of the payload check; `weigh: false` and `weigh: null` both switch the check off."""
 
 
 class HoldOut(Strict):
-    """What is kept away from the fit and judged on, always whole poses, trajectories or loads."""
+    """Hold-out set for the evaluation of models, always whole poses, trajectories or loads."""
 
     trajectories: Count | None = Field(
         None,
-        description="How many of the last trajectories; by default a quarter of them and at least "
-        "one, or none when `loads` is given.",
+        description="Number of trajectories that are held out, from the end of the program; by "
+        "default a quarter of all trajectories and at least one, or none if `loads` is given.",
     )
     trajectories_percent: Annotated[float, Field(ge=0, le=90), IS_NUMBER] | None = Field(
         None,
-        description="Share of the trajectories, drawn by seed, in place of `trajectories`; at "
-        "least one is held out and one left to fit on, with every load.",
+        description="Share of the trajectories that is held out, drawn with `seed`, as an "
+        "alternative to `trajectories`; at least one trajectory is held out and at least one is "
+        "fitted, with every load.",
     )
     poses_percent: Annotated[float, Field(ge=0, le=90), IS_NUMBER] | None = Field(
         None,
-        description="Share of the poses, drawn by seed, both approaches together; by default 20, "
-        "or none when `loads` is given.",
+        description="Share of the poses that is held out, drawn with `seed`, always both "
+        "approaches of a pose; by default 20, or none if `loads` is given.",
     )
     loads: tuple[Count, ...] = Field(
         (),
-        description="Indices into `loads`, from 0. With `trajectories`, `trajectories_percent` or "
-        "`poses_percent` beside it, the model is judged on motions *and* loads it has not seen, "
-        "together.",
+        description="Loads that are held out, as indices into `loads` from 0. Together with "
+        "`trajectories`, `trajectories_percent` or `poses_percent`, the models are evaluated on "
+        "motions *and* loads that no fit has used.",
     )
-    seed: Seed = Field(7, description="Decides which poses or trajectories are drawn.")
+    seed: Seed = Field(7, description="Seed for the random poses or trajectories.")
 
     @model_validator(mode="after")
     def _trajectories_are_chosen_one_way(self) -> HoldOut:
         if self.trajectories is not None and self.trajectories_percent is not None:
             raise mistake(
-                "`trajectories` chooses the last ones, this one draws: keep one of the two",
+                "excludes `trajectories`, which selects the last ones: remove one of the two keys",
                 "trajectories_percent",
             )
         return self
 
     def trajectories_of(self, total: int) -> int:
-        """How many of `total` different trajectories are held out."""
+        """Return the number of held-out trajectories out of `total` different trajectories."""
         if self.trajectories is not None:
             return self.trajectories
         if self.trajectories_percent is not None:
@@ -401,123 +476,143 @@ class HoldOut(Strict):
         return 0 if self.loads else max(1, total // 4)
 
     def poses_of(self, total: int) -> int:
-        """How many of `total` different poses are held out."""
+        """Return the number of held-out poses out of `total` different poses."""
         default = 0.0 if self.loads else 20.0
         percent = default if self.poses_percent is None else self.poses_percent
         return max(1, round(percent / 100 * total)) if percent else 0
 
 
 class Validate(Strict):
-    """How the fitted models are judged."""
+    """Settings for the evaluation of the fitted models."""
 
-    hold_out: HoldOut = Field(HoldOut(), description="What no estimator gets to see.")
+    hold_out: HoldOut = Field(HoldOut(), description="Hold-out set, which no estimator uses.")
     under_loads: bool = Field(
         False,
-        description="Fit to the first load alone, and judge every model under the others as well: "
-        "unaware of the load, told of it as declared, and as identified; declared loads are "
-        "checked.",
+        description="Fit to the first load only, and evaluate every model with the other loads "
+        "as well: without knowledge of the load, with the declared load, and with the identified "
+        "load. Declared loads are checked.",
     )
 
 
 class RmseLimit(Strict):
-    """Largest root-mean-square error accepted on the held-out data."""
+    """Maximum root-mean-square error (RMSE) on the hold-out set."""
 
-    max: Positive = Field(description="The limit, in `unit`.")
-    unit: Literal["A", "N·m", "Nm"] = Field(description="What the robot's effort is measured in.")
+    max: Positive = Field(description="Maximum error, in `unit`.")
+    unit: Literal["A", "N·m", "Nm"] = Field(
+        description="Unit of the effort that the robot measures."
+    )
     per: Literal["joint", "mean"] = Field(
-        "mean", description="Whether every joint must keep the limit, or their mean."
+        "mean",
+        description="Whether the limit applies to every joint, or to the mean of the joints.",
     )
     signal: Literal["raw", "filtered"] = Field(
-        "raw", description="Whether the measured effort is low-pass filtered before comparing."
+        "raw",
+        description="Measured effort that the model is compared with: as measured, or low-pass "
+        "filtered.",
     )
 
 
 class NrmseLimit(Strict):
-    """Largest RMSE over the standard deviation of the signal."""
+    """Maximum ratio of RMSE to the standard deviation of the signal."""
 
-    max: Positive = Field(description="The limit, without unit (0.1 is 10 %).")
+    max: Positive = Field(description="Maximum ratio, without unit (0.1 is 10 %).")
     per: Literal["joint", "mean"] = Field(
-        "mean", description="Whether every joint must keep the limit, or their mean."
+        "mean",
+        description="Whether the limit applies to every joint, or to the mean of the joints.",
     )
 
 
 class GapsLimit(Strict):
-    """Largest share of missing samples."""
+    """Maximum share of missing samples."""
 
-    max: NonNegative = Field(description="The limit, in percent of the samples expected.")
+    max: NonNegative = Field(description="Maximum share, in percent of the expected samples.")
 
 
 class LoadErrorLimit(Strict):
-    """Largest error under a load that a model is told of, over its error with the first load."""
+    """Maximum ratio of the error with a load to the error with the first load.
 
-    max: Positive = Field(description="The limit, without unit; both are means over the joints.")
+    The field `told` sets what the model knows about the load.
+    """
+
+    max: Positive = Field(
+        description="Maximum ratio, without unit; both errors are means of the joints."
+    )
     told: Literal["declared", "calibrated"] = Field(
         "declared",
-        description="What the model is told: the load as declared, or that and drive gains as the "
-        "other loads tell them.",
+        description="Data that the model uses: the declared load (`declared`), or the declared "
+        "load and drive gains calibrated with the other loads (`calibrated`).",
     )
     of: Literal["every", "first"] = Field(
         "every",
-        description="Whether every estimator must keep it, or the first of `fit`, with the others "
-        "beside it for comparison.",
+        description="Whether the limit applies to every estimator, or only to the first "
+        "estimator of `fit`; the others are then reported for comparison.",
     )
 
 
 class ContradictedLimit(Strict):
-    """How many declared loads may be contradicted by those identified."""
+    """Maximum number of declared loads that the identified loads contradict."""
 
-    max: Count = Field(description="The limit; a load that cannot be identified counts.")
+    max: Count = Field(description="Maximum number; a load that cannot be identified is counted.")
 
 
 class Accept(Strict):
-    """Criteria for the verdict; without any for models: `not judged`, or `rejected` by gaps."""
+    """Acceptance criteria; without model criteria, the verdict is `not judged` or `rejected`."""
 
-    rmse: RmseLimit | None = Field(None, description="On the held-out data, in the robot's unit.")
-    nrmse: NrmseLimit | None = Field(None, description="On the held-out data, without unit.")
-    gaps_percent: GapsLimit | None = Field(None, description="On the recording.")
+    rmse: RmseLimit | None = Field(
+        None, description="Error on the hold-out set, in the unit of the robot."
+    )
+    nrmse: NrmseLimit | None = Field(None, description="Error on the hold-out set, without unit.")
+    gaps_percent: GapsLimit | None = Field(
+        None, description="Limit of the samples that are missing in the recording."
+    )
     load_error_ratio: LoadErrorLimit | None = Field(
-        None, description="Under any load that it is told of; with `validate.under_loads`."
+        None, description="Error with any other load; requires `validate.under_loads`."
     )
     contradicted_loads: ContradictedLimit | None = Field(
-        None, description="Of those declared, by the first estimator; with `validate.under_loads`."
+        None,
+        description="Limit of the declared loads that the first estimator contradicts; requires "
+        "`validate.under_loads`.",
     )
 
     @property
     def under_loads(self) -> tuple[str, ...]:
-        """Keys of the criteria that are about loads."""
+        """Keys of the acceptance criteria about loads."""
         keys = ("load_error_ratio", "contradicted_loads")
         return tuple(key for key in keys if getattr(self, key) is not None)
 
 
 class ExperimentSpec(Strict):
-    """One experiment, from excitation to acceptance."""
+    """Complete experiment, from excitation to acceptance."""
 
     hil: FormatVersion = Field(description="Version of the spec format.")
-    name: Name = Field(description="Names the run directories; letters, digits, `_`, `.`, `-`.")
-    description: str = Field("", description="What this is for; shown in the report.")
-    robot: str = Field(description="A robot of the station.")
-    excitation: Excitation = Field(description="What the arm does while it is measured.")
+    name: Name = Field(description="Name of the run directories; letters, digits, `_`, `.`, `-`.")
+    description: str = Field("", description="Purpose of the experiment; shown in the report.")
+    robot: str = Field(description="Name of a robot of the station.")
+    excitation: Excitation = Field(description="Motion of the arm during the measurement.")
     loads: tuple[Load, ...] = Field(
-        (Load(),), min_length=1, description="The excitation runs once with each of these."
+        (Load(),),
+        min_length=1,
+        description="Loads; the excitation is executed once with each load.",
     )
     weigh: OptionalWeigh = Field(
-        Weigh(), description="How the loads are weighed; `false` or `null`: not at all."
+        Weigh(), description="Payload check of the loads; `false` or `null` disables it."
     )
-    warm_up: WarmUp = Field(WarmUp(), description="Motion before measuring.")
-    reference: Reference = Field(Reference(), description="A pose visited again and again.")
-    record: Record = Field(Record(), description="What is recorded.")
+    warm_up: WarmUp = Field(WarmUp(), description="Motion before the measurement.")
+    reference: Reference = Field(Reference(), description="Pose that is measured repeatedly.")
+    record: Record = Field(Record(), description="Settings of the recording.")
     interlocks: Interlocks = Field(
         DEFAULTS,
-        description="What stops or pauses the motion; the defaults of kinds that are not listed "
-        "here stay.",
+        description="Conditions that stop or pause the motion; default interlocks of kinds that "
+        "are not listed here remain active.",
     )
-    fit: tuple[Fit, ...] = Field((), description="The estimators to fit, each on the same data.")
+    fit: tuple[Fit, ...] = Field((), description="Estimators to fit, all to the same data.")
     validation: Validate = Field(
-        Validate(), alias="validate", description="How the fitted models are judged."
+        Validate(), alias="validate", description="Evaluation of the fitted models."
     )
-    accept: Accept = Field(Accept(), description="When the result is good enough.")
+    accept: Accept = Field(Accept(), description="Acceptance criteria.")
     study: tuple[StudyEntry, ...] = Field(
-        (), description="Evaluations of the whole run, made after the fits; never judged."
+        (),
+        description="Evaluations of the whole run after the fits; they do not affect the verdict.",
     )
 
     @model_validator(mode="after")
@@ -529,7 +624,7 @@ class ExperimentSpec(Strict):
                 message = f"there is no load {load}: `loads` has {n}, counted from 0"
                 raise mistake(message, *at, i)
         if len(set(held)) == n:
-            raise mistake("holds out every load and leaves none to fit on", *at)
+            raise mistake("holds out every load, so that none is left to fit", *at)
         return self
 
     @model_validator(mode="after")
@@ -537,26 +632,26 @@ class ExperimentSpec(Strict):
         at = ("validate", "under_loads")
         if not self.validation.under_loads:
             if keys := self.accept.under_loads:
-                message = "is judged only with validate: {under_loads: true}"
+                message = "requires validate: {under_loads: true}"
                 raise mistake(message, "accept", keys[0])
             return self
         if len(self.loads) < 2:
-            raise mistake("there is no load besides the first: `loads` needs a second", *at)
+            raise mistake("requires a second load in `loads`", *at)
         if isinstance(self.excitation, Dwell):
-            raise mistake("judges trajectories, and a dwell program has none", *at)
+            raise mistake("requires trajectories, but a dwell program has none", *at)
         if self.excitation.trajectories < FEWEST:
             message = f"must be at least {FEWEST} with validate.under_loads"
             raise mistake(message, "excitation", "trajectories")
         if not self.fit:
-            raise mistake("there is no model to judge: `fit` is empty", *at)
+            raise mistake("requires a model, but `fit` is empty", *at)
         if self.validation.hold_out.loads:
-            message = "under_loads holds out every load but the first: leave this away"
+            message = "must be omitted: under_loads holds out every load except the first"
             raise mistake(message, "validate", "hold_out", "loads")
         return self
 
     @property
     def hold_out(self) -> HoldOut:
-        """What is held out: as written, and with `under_loads` every load but the first."""
+        """Hold-out set of the spec; with `under_loads`, also every load except the first."""
         held = self.validation.hold_out
         if not (self.validation.under_loads and isinstance(self.excitation, Fourier)):
             return held
@@ -580,7 +675,7 @@ class ExperimentSpec(Strict):
         held, total, what, key = self._motions_held_out()
         given = getattr(self.validation.hold_out, key) is not None
         if held and held >= total and (given or self.fit):
-            message = f"holds out {held} of {total} {what} and leaves none to fit on"
+            message = f"holds out {held} of {total} {what}, so that none is left to fit"
             raise mistake(message, "validate", "hold_out", *([key] if given else []))
         return self
 
@@ -588,12 +683,14 @@ class ExperimentSpec(Strict):
     def _a_fit_has_something_to_be_judged_on(self) -> ExperimentSpec:
         held, _, what, key = self._motions_held_out()
         if self.fit and not held and not self.validation.hold_out.loads:
-            message = f"holds out nothing, so no model can be judged: give {what} or loads"
+            message = (
+                f"holds out nothing, so that no model can be evaluated: hold out {what} or loads"
+            )
             raise mistake(message, "validate", "hold_out", key)
         return self
 
     def _motions_held_out(self) -> tuple[int, float, str, str]:
-        """How many are held out, of how many, what they are, and the key that says so."""
+        """Return the number of held-out motions, the total, the kind of motion, and the key."""
         held, program = self.validation.hold_out, self.excitation
         if isinstance(program, Fourier):
             total, drawn = program.trajectories, held.trajectories_percent is not None
@@ -611,15 +708,16 @@ class ExperimentSpec(Strict):
                 continue
             if lowest(interlock.limit_deg_s) <= fastest:
                 message = (
-                    f"must be above the {fastest:g} °/s of excitation.max_velocity_deg_s: lower "
-                    "that one, or raise this one as far as the arm goes"
+                    f"must be above excitation.max_velocity_deg_s ({fastest:g} °/s): reduce that "
+                    "limit, or increase this one, at most to the limit of the arm"
                 )
                 raise mistake(message, "interlocks", i, "limit_deg_s")
         return self
 
 
 _NEWER_INTERLOCKS = [SpeedScalingInterlock(kind="speed_scaling").model_dump(mode="json")]
-"""Interlocks that watch by default since then; as they are by default they leave no trace."""
+"""Default interlocks of newer versions; with default values these interlocks do not affect the
+hash."""
 
 _NEWER = (
     ("study",),
@@ -629,21 +727,21 @@ _NEWER = (
     ("accept", "load_error_ratio"),
     ("accept", "contradicted_loads"),
 )
-"""Keys that came after runs were hashed, and where; unused they count as not there."""
+"""Paths of keys that were added to the spec format later; unused keys do not affect the hash."""
 
 
 def spec_hash(spec: ExperimentSpec) -> str:
-    """sha256 of the canonical JSON of the spec, defaults included.
+    """Return the SHA-256 digest of the canonical JSON of the spec, including default values.
 
-    What a spec does not use of studies, optimised excitation, judging under loads and drawn
-    trajectories leaves no trace: it has the hash it had before there were any, and runs of an
-    older hil go on.
-    Comments, order of keys and of interlocks, spelling of numbers (`1` and `1.0`) and written-out
-    defaults do not change it. A file of poses counts with its content, not with its path, so that
-    the hash is the same on every machine.
+    Newer features that a spec does not use (studies, optimised excitation, evaluation with loads,
+    random hold-out sets) do not affect the hash. A spec without these features has the same hash as
+    before, so that runs of an older version of hil can be resumed. The hash does not depend on
+    comments, the order of keys and of interlocks, the spelling of numbers (`1` and `1.0`), or
+    defaults that are written out. The hash includes a waypoint file by its content instead of its
+    path, so that the hash is the same on every computer.
 
     Raises:
-        SpecError: The file of poses cannot be read.
+        SpecError: The waypoint file cannot be read.
     """
     raw = spec.model_dump(mode="json", by_alias=True)
     raw["interlocks"] = [each for each in raw["interlocks"] if each not in _NEWER_INTERLOCKS]
@@ -666,7 +764,7 @@ def _content_hash(file: Path) -> str:
     except OSError as error:
         raise SpecError(
             f"{file}: cannot be read: {error.strerror}",
-            hint="see whether it exists and may be read",
+            hint="check that the file exists and is readable",
         ) from None
 
 
@@ -675,7 +773,7 @@ def _canonical(value: Any) -> Any:
         return {key: _canonical(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_canonical(item) for item in value]
-    # Integral floats become ints; beyond 2**53 a float is not one particular integer any more.
+    # Integral floats become ints; from 2**53 on, a float does not identify a unique integer.
     if isinstance(value, float) and abs(value) < 2**53 and value.is_integer():
         return int(value)
     return value

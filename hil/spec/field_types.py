@@ -1,4 +1,4 @@
-"""The kinds of values specs are made of: numbers that are numbers, names, joint ranges."""
+"""Field types of specs: strict numbers, names and joint ranges."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from pydantic_core import PydanticCustomError
 
 
 def mistake(message: str, *at: str | int) -> PydanticCustomError:
-    """The error a validator raises for values that are fine alone but not together.
+    """Return the error to raise for values that are valid alone but not together.
 
     Args:
-        message: What cannot be, in plain words.
-        at: Keys from the model that raises down to the value to be mended.
+        message: Description of the problem in plain words.
+        at: Keys that lead from the model that raises the error to the invalid value.
     """
     return PydanticCustomError("mistake", "{message}", {"message": message, "at": list(at)})
 
 
 def _number(value: Any) -> Any:
-    # Pydantic would take "3" for 3 and true for 1; in a file both are slips.
+    # Pydantic would accept "3" as 3 and true as 1; in a file both are errors.
     if isinstance(value, bool | str):
         raise PydanticCustomError("not_a_number", "must be a number")
     return value
@@ -32,7 +32,10 @@ def _ascending(pair: tuple[float, float]) -> tuple[float, float]:
 
 
 IS_NUMBER = BeforeValidator(_number)
-"""Goes last in `Annotated`: limits that follow it would be lost to the JSON Schema."""
+"""Validator that accepts only numbers; must be the last entry of `Annotated`.
+
+Limits that follow this validator would be missing in the JSON Schema.
+"""
 
 Finite = Annotated[float, Field(allow_inf_nan=False), IS_NUMBER]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), IS_NUMBER]
@@ -51,10 +54,10 @@ RobotAddresses = Annotated[
         "`{ur5: 192.168.0.5}`; mocks and loopback addresses need no entry."
     ),
 ]
-"""`robots:` key of schedules and other files whose runs move robots unattended."""
+"""Key `robots` of schedules and other files whose runs move robots without an operator."""
 
 
 class Strict(BaseModel):
-    """Base of every spec part: immutable, and a key nobody knows is an error."""
+    """Base class of every part of a spec: immutable, without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=False)

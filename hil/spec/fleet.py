@@ -1,4 +1,4 @@
-"""What a fleet YAML may say: the robots that an experiment is run on, with their addresses."""
+"""Model of a fleet YAML file: the robots that run an experiment, with their addresses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ KEY = "hil_fleet"
 
 
 class FleetSpec(Strict):
-    """Robots of one station that run an experiment; needed if they are real."""
+    """Robots of one station that run an experiment; required for real robots."""
 
     hil_fleet: FormatVersion = Field(description="Version of the fleet format.")
     robots: dict[Name, str] = Field(
@@ -25,10 +25,11 @@ class FleetSpec(Strict):
 
 
 def load_fleet_spec(path: str | FilePath) -> FleetSpec:
-    """Read a fleet's file.
+    """Read and validate the file of a fleet.
 
     Raises:
-        SpecError: With a line `file:line:column: path: message` for every problem.
+        SpecError: The file has problems; the message has one line `file:line:column: path: message`
+            per problem.
     """
     source = read_source(path)
     refuse_other_kind(source, KEY)

@@ -1,4 +1,4 @@
-"""What an experiment may say about interlocks: their limits, and what happens when one trips."""
+"""Models of the interlocks of an experiment: limits and actions."""
 
 from __future__ import annotations
 
@@ -22,13 +22,16 @@ from hil.spec.field_types import IS_NUMBER, NonNegative, Positive, Strict, Vecto
 from hil.spec.station import Wall
 
 COOLER_C = 5.0
-"""A run that was paused for its temperature goes on when the joint is so much cooler [°C]."""
+"""Default hysteresis of a temperature pause [°C].
+
+A paused run resumes when the joint is cooler than the limit by this hysteresis.
+"""
 
 
 def one_or_each(kind: Any) -> WrapValidator:
-    """Validates one value for all joints, or a list with one per joint.
+    """Return a validator for one value for all joints, or for a list with one value per joint.
 
-    A plain union would report what is wrong with a value once for each of its members.
+    With a plain union type, each problem would be reported once per member of the union.
     """
     one, each = TypeAdapter(kind), TypeAdapter(Annotated[tuple[kind, ...], Field(min_length=1)])
 
@@ -52,42 +55,49 @@ PositivePerJoint = Annotated[
 
 Stop = Annotated[
     Literal["stop"],
-    Field(description="What happens then: going on to the next checkpoint would not be safe."),
+    Field(
+        description="Reaction of the interlock; a pause is not possible, because moving on to "
+        "the next checkpoint would not be safe."
+    ),
 ]
 StopOrPause = Annotated[
     Literal["stop", "pause"],
     Field(
-        description="`pause` holds the arm at the next checkpoint and goes on by itself when all "
-        "is well again."
+        description="Reaction of the interlock: `stop` ends the run; `pause` holds the arm at "
+        "the next checkpoint and resumes automatically when the condition has cleared."
     ),
 ]
 Enabled = Annotated[
     bool,
-    Field(strict=True, description="false switches this one off; it is the only way to do so."),
+    Field(
+        strict=True,
+        description="`false` disables the interlock. An interlock that is active by default "
+        "can only be disabled in this way.",
+    ),
 ]
 
 
 class TrackingErrorInterlock(Strict):
-    """Stop when a joint is further from its set-point than this."""
+    """Stop if the position error of a joint exceeds the limit."""
 
-    kind: Literal["tracking_error"] = Field(description="Watches the tracking error.")
+    kind: Literal["tracking_error"] = Field(description="Monitors the tracking error.")
     limit_rad: AnglePerJoint = Field(
-        0.05, description="Largest distance between measured and commanded position."
+        0.05, description="Maximum distance between measured and commanded position."
     )
     action: Stop = "stop"
     enabled: Enabled = True
 
 
 class TemperatureInterlock(Strict):
-    """Stop or pause when a joint is hotter than this."""
+    """Stop or pause if a joint temperature exceeds the limit."""
 
-    kind: Literal["temperature"] = Field(description="Watches the temperatures.")
-    limit_c: CelsiusPerJoint = Field(75.0, description="Highest joint temperature.")
+    kind: Literal["temperature"] = Field(description="Monitors the joint temperatures.")
+    limit_c: CelsiusPerJoint = Field(75.0, description="Maximum joint temperature.")
     action: StopOrPause = "stop"
     resume_below_c: Celsius | None = Field(
         None,
-        description="With `action: pause`: the run goes on when every joint is cooler than this; "
-        f"by default {COOLER_C:g} °C below the limit.",
+        description="With `action: pause`, the run resumes when every joint is cooler than this "
+        f"temperature; by default {COOLER_C:g} °C below the limit.",
     )
     enabled: Enabled = True
 
@@ -96,91 +106,95 @@ class TemperatureInterlock(Strict):
         if self.resume_below_c is None:
             return self
         if self.action != "pause":
-            raise mistake("only an interlock with action: pause resumes", "resume_below_c")
+            raise mistake("requires action: pause", "resume_below_c")
         if self.resume_below_c >= lowest(self.limit_c):
-            raise mistake(
-                f"must be below the limit of {lowest(self.limit_c):g} °C", "resume_below_c"
-            )
+            raise mistake(f"must be below limit_c ({lowest(self.limit_c):g} °C)", "resume_below_c")
         return self
 
 
 class SpeedInterlock(Strict):
-    """Stop when a joint moves faster than this."""
+    """Stop if a joint speed exceeds the limit."""
 
-    kind: Literal["speed"] = Field(description="Watches the joint speeds.")
-    limit_deg_s: PositivePerJoint = Field(description="Highest joint speed.")
+    kind: Literal["speed"] = Field(description="Monitors the joint speeds.")
+    limit_deg_s: PositivePerJoint = Field(description="Maximum joint speed.")
     action: Stop = "stop"
     enabled: Enabled = True
 
 
 class CurrentInterlock(Strict):
-    """Stop when a motor draws more current than this; for robots that measure current."""
+    """Stop if a motor current exceeds the limit; for robots that measure current."""
 
-    kind: Literal["current"] = Field(description="Watches the measured motor currents.")
-    limit_a: PositivePerJoint = Field(description="Highest motor current, in either direction.")
+    kind: Literal["current"] = Field(description="Monitors the measured motor currents.")
+    limit_a: PositivePerJoint = Field(description="Maximum motor current, in either direction.")
     action: Stop = "stop"
     enabled: Enabled = True
 
 
 class TorqueInterlock(Strict):
-    """Stop when a joint exerts more torque than this."""
+    """Stop if a joint torque exceeds the limit."""
 
     kind: Literal["torque"] = Field(
-        description="Watches the measured torques, or currents times the robot's drive gains."
+        description="Monitors the measured torques, or the measured currents multiplied by the "
+        "robot's drive gains."
     )
     limit_nm: PositivePerJoint | None = Field(
         None,
-        description="Highest joint torque, in either direction; by default 95 % of the robot's own "
-        "limits, where torques are measured or the drive gains are known.",
+        description="Maximum joint torque, in either direction; by default 95 % of the robot's "
+        "limits, if torques are measured or the drive gains are known.",
     )
     action: Stop = "stop"
     enabled: Enabled = True
 
 
 class WorkspaceInterlock(Strict):
-    """Stop when the flange, or the tip of a payload of known size, leaves this space.
+    """Stop if the flange, or the tip of a payload of known size, leaves the workspace.
 
-    Motions are planned inside it, by the station's `clearance_m`.
+    Motions are planned inside the workspace, with the station's `clearance_m` as distance to its
+    faces.
     """
 
-    kind: Literal["workspace"] = Field(description="Watches where the flange is.")
+    kind: Literal["workspace"] = Field(description="Monitors the position of the flange.")
     min_m: Vector3 | None = Field(
-        None, description="Lowest corner of a box it must stay in, in the robot's base frame."
+        None,
+        description="Lowest corner of a box in which the flange must stay, in the robot's base "
+        "frame.",
     )
-    max_m: Vector3 | None = Field(None, description="Highest corner of that box.")
-    planes: tuple[Wall, ...] = Field((), description="Planes it must stay in front of.")
+    max_m: Vector3 | None = Field(None, description="Highest corner of this box.")
+    planes: tuple[Wall, ...] = Field((), description="Planes that the flange must not cross.")
     action: Stop = "stop"
     enabled: Enabled = True
 
     @model_validator(mode="after")
     def _is_a_space(self) -> WorkspaceInterlock:
         if self.min_m is None and self.max_m is None and not self.planes:
-            raise mistake("bounds nothing: give min_m, max_m or planes")
+            raise mistake("has no limit: give min_m, max_m or planes")
         for i, (low, high) in enumerate(zip(self.min_m or (), self.max_m or (), strict=False)):
             if low >= high:
-                raise mistake(f"must be above the {low:g} m of min_m", "max_m", i)
+                raise mistake(f"must be above min_m ({low:g} m)", "max_m", i)
         return self
 
 
 class ClearanceInterlock(Strict):
-    """Stop when the arm comes closer than this to itself or to what stands around it."""
+    """Stop if the distance of the arm to itself or to its surroundings falls below the limit."""
 
-    kind: Literal["clearance"] = Field(description="Watches distances, from measured positions.")
+    kind: Literal["clearance"] = Field(
+        description="Monitors the distances that follow from the measured positions."
+    )
     least_m: NonNegative | None = Field(
         None,
-        description="Least distance; by default half of the station's `clearance_m`, for arms with "
-        "collision bodies.",
+        description="Minimum distance; by default half of the station's `clearance_m`, for arms "
+        "with collision bodies.",
     )
     action: Stop = "stop"
     enabled: Enabled = True
 
 
 class StaleInterlock(Strict):
-    """Stop when the robot's state does not advance; cannot be switched off."""
+    """Stop if the robot reports no newer state; this interlock cannot be switched off."""
 
-    kind: Literal["stale"] = Field(description="Watches the robot's clock.")
+    kind: Literal["stale"] = Field(description="Monitors the robot's clock.")
     after_s: Annotated[float, Field(ge=0.02, le=10.0), IS_NUMBER] = Field(
-        0.5, description="Wall time without a newer sample."
+        0.5, description="Maximum wall time without a newer sample."
     )
     action: Stop = "stop"
     enabled: Annotated[bool, Field(strict=True, description="Always true.")] = True
@@ -189,51 +203,55 @@ class StaleInterlock(Strict):
     def _stays_on(self) -> StaleInterlock:
         if not self.enabled:
             raise mistake(
-                "cannot be switched off: nothing else would notice a dead line", "enabled"
+                "cannot be disabled: no other interlock detects a lost connection", "enabled"
             )
         return self
 
 
 class RecorderInterlock(Strict):
-    """Stop or pause when writing falls behind reading."""
+    """Stop or pause if the recorder falls behind the measured data."""
 
-    kind: Literal["recorder"] = Field(description="Watches the recorder.")
-    behind_s: Positive = Field(2.0, description="Most data that may wait to be written.")
+    kind: Literal["recorder"] = Field(description="Monitors the recorder.")
+    behind_s: Positive = Field(
+        2.0, description="Maximum time span of data that wait to be written."
+    )
     action: StopOrPause = "stop"
     enabled: Enabled = True
 
 
 class DiskInterlock(Strict):
-    """Stop or pause when the disk that is recorded to fills up, or does not answer."""
+    """Stop or pause if the disk of the recording fills up or does not respond."""
 
-    kind: Literal["disk"] = Field(description="Watches the free space about once a second.")
-    free_mb: Positive = Field(500.0, description="Least free space.")
+    kind: Literal["disk"] = Field(description="Monitors the free space, about once a second.")
+    free_mb: Positive = Field(500.0, description="Minimum free space.")
     action: StopOrPause = "stop"
     enabled: Enabled = True
 
 
 class SpeedScalingInterlock(Strict):
-    """Stop or pause when the robot's controller moves slower than planned."""
+    """Stop or pause if the robot controller moves slower than planned."""
 
     kind: Literal["speed_scaling"] = Field(
-        description="Watches the speed slider of robots that report it."
+        description="Monitors the speed slider of robots that report it."
     )
     action: StopOrPause = "pause"
     enabled: Enabled = True
 
 
 class PluggedInterlock(BaseModel):
-    """An interlock registered under `hil.interlocks`; further keys are its own parameters."""
+    """Interlock registered under `hil.interlocks`; further keys are parameters of the plug-in."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
-    kind: str = Field(description="Name under `hil.interlocks`; see `hil plugins`.")
+    kind: str = Field(
+        description="Name of a plug-in (entry point in `hil.interlocks`); `hil plugins` lists all."
+    )
     action: StopOrPause = "stop"
     enabled: Enabled = True
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The plug-in's own parameters, as written."""
+        """Parameters of the plug-in, as written in the file."""
         return dict(self.model_extra or {})
 
 
@@ -253,14 +271,14 @@ BuiltIn = (
 INTERLOCK_KINDS: tuple[str, ...] = tuple(
     get_args(model.model_fields["kind"].annotation)[0] for model in get_args(BuiltIn)
 )
-"""The built-in kinds."""
+"""Names of the kinds of built-in interlocks."""
 
 
 class _ByKind:
-    """Validates a kind that is not built in as `PluggedInterlock`.
+    """Validator that selects `PluggedInterlock` for a kind that is not built in.
 
-    The plug-in itself is looked up when a spec is checked, so the spec of a run can be read where
-    its plug-in is not installed.
+    The plug-in of an interlock is looked up only when a spec is checked, so that the spec of a run
+    can be read on computers without the plug-in.
     """
 
     def __get_pydantic_core_schema__(
@@ -275,7 +293,7 @@ class _ByKind:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """One of the built-in kinds, or another kind with keys that its plug-in knows."""
+        """Return the JSON Schema: a built-in kind, or a different kind with keys of its plug-in."""
         of_kinds = handler(schema)
         plugged = handler(PluggedInterlock.__pydantic_core_schema__)
         kind = handler.resolve_ref_schema(plugged)["properties"]["kind"]
@@ -305,11 +323,11 @@ DEFAULTS: tuple[Interlock, ...] = (
     DiskInterlock(kind="disk"),
     SpeedScalingInterlock(kind="speed_scaling"),
 )
-"""Watch over every run, unless the spec has entries of the same kind."""
+"""Interlocks that monitor every run, unless the spec contains entries of the same kinds."""
 
 
 def with_defaults(listed: tuple[Interlock, ...]) -> tuple[Interlock, ...]:
-    """What a spec lists, then the defaults of all kinds that it does not list."""
+    """Return the interlocks of a spec, followed by the default interlocks of all other kinds."""
     kinds = {interlock.kind for interlock in listed}
     return (*listed, *(default for default in DEFAULTS if default.kind not in kinds))
 
@@ -318,5 +336,5 @@ Interlocks = Annotated[tuple[Interlock, ...], AfterValidator(with_defaults)]
 
 
 def lowest(limit: float | tuple[float, ...]) -> float:
-    """The lowest of a limit that is one number or one per joint."""
+    """Return the lowest value of a limit, which is one number or one number per joint."""
     return min(limit) if isinstance(limit, tuple) else limit

@@ -1,4 +1,4 @@
-"""Whether the criteria of a spec can be applied to what a robot measures; asked before motion."""
+"""Checks before the motion that a robot measures what the criteria of a spec need."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from hil.core import KeyPath, SpecError, dotted
 from hil.spec.experiment import ExperimentSpec
 
 UNITS = {"current": "A", "torque": "N·m"}
-"""Unit of each kind of effort."""
+"""Unit of the effort, by kind of effort."""
 
 
 class Excess(NamedTuple):
-    """A value of a spec that a robot rules out, and why."""
+    """Entry of a spec that is impossible with a robot, and the reason."""
 
     path: KeyPath
     message: str
@@ -22,11 +22,12 @@ class Excess(NamedTuple):
 
 
 def misjudged(spec: ExperimentSpec, effort_kind: str) -> list[Excess]:
-    """The criteria in another unit than the robot's effort.
+    """Return the criteria whose unit differs from the unit of the robot's effort.
 
     Args:
-        spec: The experiment.
-        effort_kind: What the robot measures, `current` or `torque` (`Capabilities.effort_kind`).
+        spec: Spec of the experiment.
+        effort_kind: Quantity that the robot measures, `current` or `torque`
+            (`Capabilities.effort_kind`).
     """
     limit, unit = spec.accept.rmse, UNITS.get(effort_kind, "")
     if limit is None or limit.unit.replace("Nm", "N·m") == unit:
@@ -40,16 +41,16 @@ def misjudged(spec: ExperimentSpec, effort_kind: str) -> list[Excess]:
 
 
 def require_judgeable(spec: ExperimentSpec, effort_kind: str) -> None:
-    """Refuse criteria in another unit than the robot's effort.
+    """Raise if a criterion has a different unit than the robot's effort.
 
     Args:
-        spec: The experiment.
-        effort_kind: As of `misjudged`.
+        spec: Spec of the experiment.
+        effort_kind: Quantity that the robot measures, as for `misjudged`.
 
     Raises:
-        SpecError: `accept.rmse.unit` is the unit of something else.
+        SpecError: The unit `accept.rmse.unit` is not the unit of the robot's effort.
     """
     if found := misjudged(spec, effort_kind):
         raise SpecError(
-            f"{spec.name}: {found[0]}", hint="`accept: {nrmse: …}` is a limit without a unit"
+            f"{spec.name}: {found[0]}", hint="a limit without a unit: `accept: {nrmse: …}`"
         )

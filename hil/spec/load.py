@@ -1,7 +1,7 @@
-"""Load experiments and stations; one error lists everything that is wrong with a file.
+"""Loading of experiments and stations; one error lists all problems of a file.
 
-A file is parsed, values from the command line are laid over it (`overrides`), what it names outside
-itself is looked up (`look_up`), and the rest is validated by its model.
+Loading a file has four steps: the file is parsed, overrides from the command line are applied
+(`overrides`), names of external objects are looked up (`look_up`), and a model validates the data.
 """
 
 from __future__ import annotations
@@ -55,16 +55,18 @@ def load_spec(
     """Read an experiment.
 
     Args:
-        file: The YAML file, or what `read_source` read from it, which is changed.
-        overrides: Values laid over the file, YAML text by dotted path (`excitation.waypoints`).
-        look_up: Check that the estimators, studies, interlocks and files the spec names exist
-            here. Switch it off to read the spec of a run that was made elsewhere.
+        file: YAML file, or the source that `read_source` read from the file; the source is
+            modified.
+        overrides: Overrides of the file as YAML text by dotted path (`excitation.waypoints`).
+        look_up: Whether to check that the estimators, studies, interlocks and files in the spec
+            exist on this computer; False if the spec belongs to a run from a different computer.
 
     Returns:
-        The spec; `excitation.file` is absolute.
+        Validated spec of the experiment, in which `excitation.file` is an absolute path.
 
     Raises:
-        SpecError: With a line `file:line:column: path: message` for every problem.
+        SpecError: The file has problems; the message has one line `file:line:column: path: message`
+            per problem.
     """
     source = file if isinstance(file, Source) else read_source(file)
     return _spec(source, FilePath(source.name).parent, overrides, look_up)
@@ -86,7 +88,7 @@ def _spec(
 
 
 def _checked(source: Source, folder: FilePath, look_up: bool) -> ExperimentSpec:
-    """The spec of what a file says."""
+    """Return the validated spec of a parsed file."""
     if look_up:
         check_estimators(source)
         check_studies(source)
@@ -103,13 +105,13 @@ def _checked(source: Source, folder: FilePath, look_up: bool) -> ExperimentSpec:
 def _with_overrides(
     message: str, as_written: Source, folder: FilePath, overrides: Mapping[str, str], look_up: bool
 ) -> str:
-    """Return an error's lines; those that the unchanged file does not cause name the overrides."""
+    """Return the lines of an error message; lines about overridden values name the overrides."""
     before: set[str] = set()
     try:
         _checked(as_written, folder, look_up)
     except SpecError as error:
         before = set(error.message.splitlines())
-    if len(before) > MOST_PROBLEMS:  # the list is cut off: any line may be an old one
+    if len(before) > MOST_PROBLEMS:  # truncated: a line may be due to the file itself
         return message
     laid = ", ".join(f"{shown(key)}={shown(text)}" for key, text in overrides.items())
     return "\n".join(
@@ -128,10 +130,11 @@ def spec_from_text(
     folder: str | FilePath = ".",
     look_up: bool = True,
 ) -> ExperimentSpec:
-    """Read an experiment from YAML text; relative paths in it start at `folder`.
+    """Read an experiment from YAML text; relative paths in the text start at `folder`.
 
     Raises:
-        SpecError: As `load_spec`, with `name` in place of the file.
+        SpecError: The text has problems, as for `load_spec`; the message contains `name` instead of
+            the file name.
     """
     return _spec(parse(text, name), FilePath(folder), overrides, look_up)
 
@@ -140,14 +143,15 @@ def load_station(path: str | FilePath, *, look_up: bool = True) -> Station:
     """Read a station.
 
     Args:
-        path: The YAML file.
-        look_up: Check that the drivers and models it names exist here.
+        path: YAML file.
+        look_up: Whether to check that the drivers and models in the file exist on this computer.
 
     Returns:
-        The station; robot models that are paths are absolute.
+        Validated station, in which the paths of robot models are absolute.
 
     Raises:
-        SpecError: With a line `file:line:column: path: message` for every problem.
+        SpecError: The file has problems; the message has one line `file:line:column: path: message`
+            per problem.
     """
     source, folder = read_source(path, "hil_station"), FilePath(path).parent
     refuse_other_kind(source, "hil_station")
@@ -158,7 +162,7 @@ def load_station(path: str | FilePath, *, look_up: bool = True) -> Station:
 
 
 def _make_models_absolute(source: Source, folder: FilePath) -> None:
-    """Make those robot models of a station absolute that are paths."""
+    """Convert the paths of a station's robot models to absolute paths."""
     robots = source.at(("robots",))
     for robot in robots.values() if isinstance(robots, dict) else ():
         model = robot.get("model") if isinstance(robot, dict) else None
@@ -167,17 +171,17 @@ def _make_models_absolute(source: Source, folder: FilePath) -> None:
 
 
 def resolve_robot(spec: ExperimentSpec, station: Station) -> StationRobot:
-    """The robot of the station that the experiment asks for.
+    """Return the station entry of the robot that the experiment names.
 
     Raises:
-        SpecError: The station has no robot of that name.
+        SpecError: The station has no robot with this name.
     """
     robot = station.robots.get(spec.robot)
     if robot is None:
         raise SpecError(
             f"robot: the station {station.name!r} has no robot {spec.robot!r}, "
-            f"which the experiment {spec.name!r} asks for",
-            hint=did_you_mean(spec.robot, station.robots) + " (or choose another --station)",
+            f"which the experiment {spec.name!r} requires",
+            hint=did_you_mean(spec.robot, station.robots) + " (or choose a different --station)",
         )
     return robot
 
@@ -186,7 +190,12 @@ M = TypeVar("M", bound=Strict)
 
 
 def validated(source: Source, model: type[M]) -> M:
-    """The model, or one error with the problems of YAML, of look-ups and of the model together."""
+    """Return the model that validates the data of a source.
+
+    Raises:
+        SpecError: The source has YAML, look-up or validation problems; the message lists all
+            problems.
+    """
     try:
         spec = model.model_validate(source.data)
     except ValidationError as error:
@@ -201,10 +210,13 @@ def validated(source: Source, model: type[M]) -> M:
 
 
 def _where_to_read(problems: list[Problem], model: type[Strict]) -> str:
-    """Of the first section with a problem; where all are at the top, of the whole file."""
+    """Return a hint to the documentation of the first section with a problem.
+
+    If all problems are at the top level, the hint is about the whole file.
+    """
     for problem in sorted(problems, key=lambda problem: problem.mark):
         if len(problem.path) > 1 and (section := key_above(problem.path, model)):
-            return f"`hil explain {dotted(section)}` lists what may stand there"
+            return f"`hil explain {dotted(section)}` lists the allowed keys and values"
     kind = model.__name__.removesuffix("Spec").lower()  # one that `hil schema` knows
     return f"`hil schema {kind}` lists every key with its unit and meaning"
 
@@ -221,11 +233,11 @@ _KINDS = {
     "hil_fleet": ("the robots of a fleet", "hil fleet run SPEC --robots FILE"),
     "capsules": ("the description of an arm", "the robots of a station, as `model: FILE`"),
 }
-"""Key that a file has → what such a file is, and what it is for."""
+"""Description and use of each kind of YAML file, by the key that identifies the kind."""
 
 
 def is_kind(file: str | FilePath | Source, key: str) -> bool:
-    """Return whether a file, or what was read from it, has a kind's key; an unreadable one not."""
+    """Return whether a file, or its source, has the key of a kind; False if it is unreadable."""
     try:
         data = file.data if isinstance(file, Source) else read_source(file).data
     except SpecError:
@@ -234,10 +246,12 @@ def is_kind(file: str | FilePath | Source, key: str) -> bool:
 
 
 def refuse_other_kind(source: Source, wanted: str) -> None:
-    """Refuse a file of another kind in one sentence instead of dozens of findings.
+    """Raise an error with a single sentence if a file is of a different kind.
+
+    Without this check, a file of a wrong kind would give dozens of validation errors.
 
     Raises:
-        SpecError: The file is of another kind, or no mapping.
+        SpecError: The file is of a different kind, or is not a mapping.
     """
     data: Any = source.data
     if not isinstance(data, dict):
@@ -247,19 +261,19 @@ def refuse_other_kind(source: Source, wanted: str) -> None:
         kind, use = _KINDS[key]
         message = f"this file is {kind}, but {_KINDS[wanted][0]} is needed here"
         problem = Problem(source.mark((key,), key=True), (), message)
-        raise refuse([problem], hint=f"this one is for: {use}")
+        raise refuse([problem], hint=f"use this file with: {use}")
 
 
 def _other_kind(data: Any, wanted: str) -> str:
-    """The key that says that a file is of another kind; empty when it may be what is wanted."""
+    """Return the key that identifies a file as a different kind; empty if there is none."""
     known = data if isinstance(data, dict) and wanted not in data else {}
     return next((key for key in _KINDS if key in known), "")
 
 
 def wrong_kind(file: FilePath, wanted: str) -> str:
-    """Return the message for a file of another kind than needed; empty for one that may be right.
+    """Return the message for a file of a different kind; empty if the kind may be right.
 
-    Other problems of the file are reported when it is loaded.
+    All problems other than a wrong kind are reported when the file is loaded.
     """
     try:
         data = read_source(file).data
@@ -270,12 +284,15 @@ def wrong_kind(file: FilePath, wanted: str) -> str:
 
 
 def make_absolute(source: Source, place: KeyPath, folder: FilePath) -> None:
-    """Make a path absolute that starts at the folder of its file; note it if there is no such file.
+    """Convert a path that is relative to its file to an absolute path.
+
+    If the named file does not exist or is of a different kind, a problem is added to the source.
 
     Args:
-        source: Problems are added to it.
-        place: Where the path is; its last key is `station`, or something that is an experiment.
-        folder: Of the file.
+        source: Source of the file, to which problems are added.
+        place: Location of the path in the file; its last key is `station`, or a key that names an
+            experiment.
+        folder: Folder of the file, at which relative paths start.
     """
     named, holder = source.at(place), source.at(place[:-1])
     if not isinstance(named, str) or not isinstance(holder, dict):

@@ -1,8 +1,8 @@
-"""Look up what an experiment or a station names outside itself.
+"""Look-up of external objects that an experiment or a station names.
 
-These are estimators, studies, interlocks, drivers, arms and files. The checks read the parsed data
-and not the validated model, so that their findings come in the same report as everything else that
-is wrong with the file.
+External objects are estimators, studies, interlocks, drivers, arms and files. The look-up checks
+read the parsed data instead of the validated model, so that their problems are reported together
+with all other problems of the file.
 """
 
 from __future__ import annotations
@@ -31,16 +31,17 @@ from hil.spec.interlocks import INTERLOCK_KINDS
 
 
 def check_estimators(source: Source) -> None:
-    """Names under `fit` must be estimators for this excitation, keys beside them their parameters.
+    """Check that names under `fit` are estimators for this excitation, with valid parameters.
 
-    The estimators are imported: one that cannot be is found here, and not after hours of motion.
+    The estimators are imported in this check, so that an estimator that cannot be imported is
+    reported before hours of motion.
     """
     for path, entry in _entries(source, "fit"):
         _check_named(source, path, entry, "estimator", "hil.estimators")
 
 
 def _entries(source: Source, key: str) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
-    """The mappings in a list or mapping at the top of the file, with their paths."""
+    """Return the mappings in a list or mapping at the top level of the file, with their paths."""
     group = source.at((key,))
     if isinstance(group, dict):
         steps: list[tuple[str | int, Any]] = list(group.items())
@@ -52,7 +53,7 @@ def _entries(source: Source, key: str) -> Iterator[tuple[KeyPath, dict[str, Any]
 def _check_named(
     source: Source, path: KeyPath, entry: dict[str, Any], word: str, group: str
 ) -> None:
-    """An entry whose key `word` names a plug-in and whose other keys are its parameters."""
+    """Check an entry whose key `word` names a plug-in and whose other keys are its parameters."""
     name = entry.get(word)
     if not isinstance(name, str):
         return
@@ -71,16 +72,18 @@ def _check_named(
 
 
 RECORDED = {"dwell": ("dwell", "dwells"), "fourier": ("trajectory", "trajectories")}
-"""Kind of excitation → the series it is run for, singular as in the data and plural for people."""
+"""Name of the recorded series by kind of excitation: singular as in the data, plural for
+messages."""
 
 
 def _check_excitation(source: Source, path: KeyPath, name: str, plugin: Any) -> None:
-    """The program must record what it is made for; the moves in between do not count.
+    """Check that the program records the kind of series for which the plug-in was designed.
 
-    An estimator that can make do with other series does so on recordings of other origin
-    (`hil fit`), where there is nothing better. In a program of its own it would be starved: a
-    Fourier program stands still at the ends of its trajectories only, and the moves of a dwell
-    program are no trajectories that could be held out.
+    Recorded moves between poses or trajectories are ignored in this check. An estimator that also
+    accepts other kinds of series may use them in recordings from other sources (`hil fit`), because
+    such recordings contain no better data. In a program for this estimator, the other kinds of
+    series would provide too little data: a Fourier program is at standstill only at the ends of its
+    trajectories, and the moves of a dwell program are not trajectories that could be held out.
     """
     kind = source.at(("excitation", "kind"))
     kinds = getattr(plugin, "series_kinds", ())
@@ -96,7 +99,7 @@ def _check_excitation(source: Source, path: KeyPath, name: str, plugin: Any) -> 
 def _check_parameters(
     source: Source, named: KeyPath, name: str, given: dict[str, Any], plugin: Any
 ) -> None:
-    """Check the parameters of a plug-in whose name is at `named`, beside them."""
+    """Check the parameters beside the name of a plug-in, which is at the path `named`."""
     path, known = named[:-1], _keywords(plugin)
     unknown = [key for key in given if known is not None and key not in known]
     for key in unknown:
@@ -113,11 +116,11 @@ _NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONL
 
 
 def _keywords(plugin: Any, after: int = 0) -> list[str] | None:
-    """Return the names of keyword parameters, or None when the plug-in takes any.
+    """Return the names of the keyword parameters; None if the plug-in accepts any keyword.
 
     Args:
-        plugin: A class or function.
-        after: So many parameters at the beginning are left out.
+        plugin: Class or function of the plug-in.
+        after: Number of leading parameters that are left out.
     """
     parameters = _signature(plugin)
     if parameters is None or any(p.kind is p.VAR_KEYWORD for p in parameters):
@@ -126,14 +129,14 @@ def _keywords(plugin: Any, after: int = 0) -> list[str] | None:
 
 
 def _required(plugin: Any, after: int = 0) -> list[str]:
-    """Return the names of parameters without default; arguments as in `_keywords`."""
+    """Return the names of the parameters without default; see `_keywords` for the arguments."""
     named = (inspect.Parameter.POSITIONAL_ONLY, *_NAMED)
     parameters = (_signature(plugin) or [])[after:]
     return [p.name for p in parameters if p.kind in named and p.default is p.empty]
 
 
 def _signature(plugin: Any) -> list[inspect.Parameter] | None:
-    """Return all parameters of a plug-in, or None where they cannot be read."""
+    """Return all parameters of a plug-in; None if its signature is not available."""
     try:
         return list(inspect.signature(plugin).parameters.values())
     except (TypeError, ValueError):
@@ -143,14 +146,14 @@ def _signature(plugin: Any) -> list[inspect.Parameter] | None:
 def _no_parameter(name: str, key: str, known: list[str]) -> str:
     message = f"{name} has no parameter '{shown(key)}'"
     if not known:
-        return f"{message}; it takes none"
+        return f"{message}; it has no parameters"
     if match := closest(key, known):
         message += f"; did you mean {match!r}?"
     return f"{message} (it has {', '.join(known)})"
 
 
 def _check_values(source: Source, path: KeyPath, plugin: Any, given: dict[str, Any]) -> None:
-    """Let the constructor judge its parameters; by contract it does no work."""
+    """Check parameters by calling the constructor, which must not do other work."""
     try:
         plugin(**given)
     except Exception as error:
@@ -160,7 +163,7 @@ def _check_values(source: Source, path: KeyPath, plugin: Any, given: dict[str, A
 
 
 def _first_line(error: Exception) -> str:
-    """What a constructor complains about, in one line that begins with the parameter."""
+    """Return the error of a constructor as one line that begins with the name of the parameter."""
     if isinstance(error, ValidationError):
         first = error.errors(include_url=False)[0]
         return ": ".join((".".join(str(step) for step in first["loc"]), first["msg"]))
@@ -171,15 +174,16 @@ def _first_line(error: Exception) -> str:
 
 
 def check_studies(source: Source) -> None:
-    """Names under `study` must be studies of such a run, keys beside them their parameters."""
+    """Check that names under `study` are studies for such a run, with valid parameters."""
     for path, entry in _entries(source, "study"):
         _check_named(source, path, entry, "study", "hil.studies")
 
 
 def check_interlocks(source: Source) -> None:
-    """Kinds under `interlocks` must be built in or plug-ins, keys beside them their parameters.
+    """Check that kinds under `interlocks` are built in or plug-ins, with valid parameters.
 
-    A plug-in is imported: one that cannot be is found here, and not with the robot switched on.
+    The plug-in of an interlock is imported in this check, so that an import error is reported
+    before the robot is switched on.
     """
     for path, entry in _entries(source, "interlocks"):
         kind = entry.get("kind")
@@ -198,7 +202,7 @@ def _check_plugged(source: Source, path: KeyPath, kind: str, entry: dict[str, An
     except PluginError as error:
         source.add((*path, "kind"), f"{error.message} → {error.hint}")
         return
-    # The first parameter is its context; the spec itself knows the others.
+    # The first parameter of a plug-in is its context; the model of the spec has the others.
     known, unknown = _keywords(plugin, after=1), []
     if known is not None:
         own = [name for name in known if name != "action"]
@@ -206,14 +210,14 @@ def _check_plugged(source: Source, path: KeyPath, kind: str, entry: dict[str, An
         for key in unknown:
             source.add((*path, key), _no_parameter(kind, key, own), key=True)
     lacking = [name for name in _required(plugin, after=1) if name not in (*entry, "action")]
-    if lacking and not unknown:  # else it is there under a name that was mistyped
+    if lacking and not unknown:  # otherwise a required key is probably mistyped
         source.add((*path, "kind"), f"{kind} needs {', '.join(lacking)}")
 
 
 def check_robots(source: Source, folder: FilePath) -> None:
-    """Drivers must be registered, models be built-in arms or existing files.
+    """Check that drivers are registered, and that models are built-in arms or existing files.
 
-    Such a file is a URDF or the description of an arm.
+    A model file is a URDF or the description of an arm.
     """
     known = plugins.names("hil.drivers")
     for path, robot in _entries(source, "robots"):
@@ -232,16 +236,16 @@ def _fault_of_model(model: str, folder: FilePath) -> str:
         return ""
     hint = did_you_mean(model, arm_names())
     end = "" if hint.endswith("?") else "."
-    return f"there is no built-in arm '{shown(model)}'; {hint}{end} A URDF is named by its path."
+    return f"there is no built-in arm '{shown(model)}'; {hint}{end} Write the path of a URDF."
 
 
 def _missing(path: FilePath) -> str:
-    """Return the message for a missing file, with suggestions of the same ending."""
+    """Return the message for a missing file, with suggestions of files with the same suffix."""
     return no_file_but(path, [path.suffix.casefold()])
 
 
 def check_pose_file(source: Source, folder: FilePath) -> None:
-    """The file of poses that a dwell program names must exist."""
+    """Check that the waypoint file of a dwell program exists."""
     path: KeyPath = ("excitation", "file")
     file = source.at(path)
     if isinstance(file, str) and not is_file(folder / file):
@@ -249,16 +253,16 @@ def check_pose_file(source: Source, folder: FilePath) -> None:
 
 
 PATHS = (".urdf", ".xml", ".yaml", ".yml")
-"""Endings of models that are files: a URDF, or a description of an arm."""
+"""File suffixes of robot models, which are URDFs or descriptions of arms."""
 
 
 def is_path(model: str) -> bool:
-    """True when a robot's `model` is a path and not the name of a built-in arm."""
+    """Return whether a robot's `model` is a path instead of the name of a built-in arm."""
     return "/" in model or "\\" in model or model.casefold().endswith(PATHS)
 
 
 def is_file(path: FilePath) -> bool:
-    """True for an existing file; names no file system takes are none."""
+    """Return whether a file exists; False for a name that is invalid in the file system."""
     try:
         return path.is_file()
     except (OSError, ValueError):

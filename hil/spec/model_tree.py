@@ -1,7 +1,8 @@
-"""What a model allows at a place: walks pydantic models by the keys of the file.
+"""Navigation in pydantic models by the keys of a YAML file.
 
-Pydantic's error locations hold the tag of a discriminated union (`excitation.dwell.dwell_s`),
-which no file contains; walking the models is how the tag is told from a key of the same name.
+The error locations of pydantic contain the tag of a discriminated union
+(`excitation.dwell.dwell_s`), but the file does not contain this tag. The functions follow the
+models to distinguish a union tag from a key with the same name.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ Model = type[BaseModel]
 
 
 def keys_of(model: Model) -> dict[str, FieldInfo]:
-    """The keys a file may use for a model: aliases where a field has one."""
+    """Return the keys that a file may use for a model; the alias of a field replaces its key."""
     return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def plain(annotation: Any) -> Any:
-    """An annotation without `Annotated` and without `| None`."""
+    """Return an annotation without the parts `Annotated` and `| None`."""
     if get_origin(annotation) is Annotated:
         return plain(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
@@ -34,7 +35,10 @@ def plain(annotation: Any) -> Any:
 
 
 def kinds_of(annotation: Any) -> dict[str, Model]:
-    """The models of a discriminated union by the value of their `kind`; empty for all else."""
+    """Return the models of a discriminated union by the value of their `kind`.
+
+    The returned mapping is empty for other annotations.
+    """
     members = [plain(arg) for arg in get_args(plain(annotation))]
     if get_origin(plain(annotation)) not in (Union, types.UnionType):
         return {}
@@ -42,22 +46,22 @@ def kinds_of(annotation: Any) -> dict[str, Model]:
 
 
 def is_model(annotation: Any) -> bool:
-    """True for a pydantic model class."""
+    """Return whether an annotation is a pydantic model class."""
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
 def choices_of(annotation: Any) -> tuple[Any, ...]:
-    """The values of a `Literal`, empty for all else."""
+    """Return the values of a `Literal`; empty for other annotations."""
     inner = plain(annotation)
     return get_args(inner) if get_origin(inner) is Literal else ()
 
 
 def locate(model: Model, loc: tuple[str | int, ...]) -> tuple[KeyPath, Any]:
-    """Turn pydantic's location into the path in the file and what is expected there.
+    """Return the path in the file and the expected annotation for a location from pydantic.
 
     Returns:
-        The path without union tags, and the annotation at it (None where the model says nothing,
-        as below an unknown key).
+        Path without union tags, and the annotation at this path; the annotation is None if the
+        model has none there, for example below an unknown key.
     """
     path: list[str | int] = []
     place: Any = model
@@ -72,7 +76,10 @@ def locate(model: Model, loc: tuple[str | int, ...]) -> tuple[KeyPath, Any]:
 
 
 def nested(annotation: Any) -> Iterator[Model]:
-    """The models a value of this annotation can hold directly, through tuples and dicts."""
+    """Yield the models that a value of this annotation can contain.
+
+    The models within tuples and dicts are included.
+    """
     inner = plain(annotation)
     if is_model(inner):
         yield inner
@@ -82,9 +89,9 @@ def nested(annotation: Any) -> Iterator[Model]:
 
 
 def tree(model: Model, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Model]]:
-    """Every model that can occur in a file, with its path, from the top downwards.
+    """Yield every model that can occur in a file, with its path, from top to bottom.
 
-    Items of a list are not told apart (`loads`), entries of a dict are called by `<name>`.
+    List items have no index in the path (`loads`); entries of a dict have the name `<name>`.
     """
     yield path, model
     for key, field in keys_of(model).items():
@@ -111,9 +118,10 @@ def _kind_values(model: Model) -> tuple[str, ...]:
 
 
 def key_above(path: KeyPath, model: Model) -> KeyPath:
-    """The deepest key that a file of the model may have at a place or above it.
+    """Return the path of the deepest valid key of a model at a path or above it.
 
-    List indices are left out; entries of a dict go by any name, whose place is not a key itself.
+    List indices are left out of the path. An entry of a dict matches any name, but the entry itself
+    does not count as a key.
     """
     known = [(*above, key) for above, owner in tree(model) for key in keys_of(owner)]
     steps = tuple(step for step in path if isinstance(step, str))

@@ -1,4 +1,4 @@
-"""Values from the command line, laid over a parsed file: `--set excitation.waypoints=12`."""
+"""Overrides from the command line for a parsed file: `--set excitation.waypoints=12`."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ from hil.core import (
 
 
 def lay_over(source: Source, overrides: Mapping[str, str]) -> None:
-    """Set values in a parsed file; each is YAML, its key the dotted path (`loads.0.mass_kg`).
+    """Apply overrides to a parsed file; each is YAML text by dotted path (`loads.0.mass_kg`).
 
-    Mappings on the way are made as needed, also in place of null; lists must be long enough, or may
-    be replaced whole. Problems are collected in the source, under the name `--set N`.
+    Mappings that are missing on the path of an override are created, also in place of null. An
+    override may replace a list, but cannot extend it. Problems with overrides are added to the
+    source, under the name `--set N`.
 
     Raises:
-        SpecError: A value is not YAML, there is no such place, or one would undo another.
+        SpecError: A value is not YAML, a path does not exist, or an override would undo an earlier
+            override.
     """
     _require_apart(list(overrides))
     for number, (dotted_key, text) in enumerate(overrides.items(), 1):
@@ -33,14 +35,18 @@ def lay_over(source: Source, overrides: Mapping[str, str]) -> None:
         value = parse(text, option) if text.strip() else Source(option)
         source.problems += value.problems
         path = _path_in(source.data, dotted_key)
-        if why := "a step of it is empty" if "" in path else _set(source.data, path, value.data):
-            message = f"{option}: there is no such place in {source.name}: {why}"
-            raise SpecError(message, hint="a path is dotted, such as loads.0.mass_kg")
+        if (
+            why := "a part of the path is empty"
+            if "" in path
+            else _set(source.data, path, value.data)
+        ):
+            message = f"{option}: this path does not exist in {source.name}: {why}"
+            raise SpecError(message, hint="write a dotted path, such as loads.0.mass_kg")
         source.replaced(path, name)
 
 
 def _require_apart(dotted_keys: list[str]) -> None:
-    """No path twice and none below another: the last would undo what the first is said to be."""
+    """Raise if two paths are equal or one contains the other, because the last would win."""
     paths = [_comparable(key) for key in dotted_keys]
     for second, path in enumerate(paths):
         for first, other in enumerate(paths[:second]):
@@ -52,12 +58,12 @@ def _require_apart(dotted_keys: list[str]) -> None:
             raise SpecError(
                 f"--set {second + 1}: {shown(dotted_keys[second])}: {does} "
                 f"{shown(dotted_keys[first])} of --set {first + 1}",
-                hint="give each path once, and none below another: put both into one value",
+                hint="pass each path once, and no path below another: combine both in one value",
             )
 
 
 def _comparable(dotted_key: str) -> tuple[str, ...]:
-    """Steps of a path, an index always written the same."""
+    """Return the steps of a path, with indices in a uniform notation."""
     return tuple(
         step.lstrip("0") or "0" if _is_index(step) else step for step in dotted_key.split(".")
     )
@@ -85,7 +91,7 @@ def _child(data: Any, step: str | int) -> Any:
 
 
 def _set(data: Any, path: KeyPath, value: Any) -> str:
-    """Put `value` at `path`; why not, where a list or a plain value is in the way."""
+    """Set `value` at `path`; return the reason if a list or a plain value there prevents it."""
     for step in path[:-1]:
         if not _has_place(data, step):
             return _in_the_way(data, step)
@@ -99,7 +105,7 @@ def _set(data: Any, path: KeyPath, value: Any) -> str:
 
 
 def _has_place(data: Any, step: str | int) -> bool:
-    """Return whether `data` is a mapping, or a list that has the entry `step`; it may be null."""
+    """Return whether `data` is a mapping, or a list with the entry `step` (possibly null)."""
     if isinstance(data, list):
         return isinstance(step, int) and step < len(data)
     return isinstance(data, dict)
@@ -108,15 +114,17 @@ def _has_place(data: Any, step: str | int) -> bool:
 def _in_the_way(data: Any, step: str | int) -> str:
     if isinstance(data, list):
         known = f"entries 0 to {len(data) - 1}" if data else "no entries"
-        return f"there is a list with {known}, not {shown(step)}"
-    return f"{shown(step)} would be below {shown(data)}"
+        return f"the list has {known}, not {shown(step)}"
+    return f"the value {shown(data)} cannot contain {shown(step)}"
 
 
 def resolved_text(path: FilePath, overrides: Mapping[str, str]) -> str:
-    """A file as it is with its overrides: YAML without its comments, but with a word of those.
+    """Return the text of a file with its overrides, as YAML without the original comments.
+
+    Comments at the beginning of the text list the overrides.
 
     Raises:
-        SpecError: The file cannot be read, or an override cannot be laid over it.
+        SpecError: The file cannot be read, or an override cannot be applied.
     """
     source = read_source(path)
     lay_over(source, overrides)

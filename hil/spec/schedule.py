@@ -1,4 +1,4 @@
-"""What a schedule YAML may say: when a robot is probed, and when it is identified again."""
+"""Model of a schedule YAML file: times of probes and campaigns of a robot."""
 
 from __future__ import annotations
 
@@ -27,7 +27,11 @@ KEY = "hil_schedule"
 
 Day = Literal["mon", "tue", "wed", "thu", "fri", "sat", "sun"]
 _FORESEEN = timedelta(days=8 * 366)
-"""29 February comes within that, 31 February never does."""
+"""Period in which the next due time of a cron expression is searched.
+
+The search period contains a 29 February. A date that does not occur within the search period, such
+as 31 February, never occurs.
+"""
 _CLOCK = re.compile(r"([01]\d|2[0-3]):[0-5]\d|24:00")
 
 
@@ -35,7 +39,7 @@ def _known_zone(name: str) -> str:
     try:
         ZoneInfo(name)
     except (ValueError, OSError, KeyError):
-        raise mistake(f"there is no time zone {name!r}; for example: Europe/Berlin") from None
+        raise mistake(f"unknown time zone {name!r}; for example: Europe/Berlin") from None
     return name
 
 
@@ -46,16 +50,16 @@ def _cron(text: str) -> str:
     if len(fields) != 5:
         raise mistake(f"must have five fields, minute hour day month weekday, not {len(fields)}")
     if re.search(r"\d", fields[4].split("/")[0]):
-        # To cron 0 is Sunday, to others Monday: a robot moves on the day that was meant.
+        # Weekday 0 is Sunday in cron, but Monday elsewhere: the robot might move on a wrong day.
         raise mistake("the weekday must be given by name, such as sat or mon-fri")
     try:
         trigger = CronTrigger.from_crontab(text, timezone="UTC")
     except ValueError as error:
-        raise mistake(f"cannot be read: {error}") from None
+        raise mistake(f"is not a valid cron expression: {error}") from None
     now = datetime.now(UTC)
     due = trigger.get_next_fire_time(None, now)
     if due is None or due > now + _FORESEEN:
-        raise mistake("is never due in the next eight years: no such day comes")
+        raise mistake("is not due within the next eight years: there is no such date")
     return text
 
 
@@ -72,15 +76,15 @@ def _moment(value: Any) -> Any:
 
 
 class Trigger(Strict):
-    """When something is due: after an interval, or by the calendar."""
+    """Time at which a job is due: after an interval, or by the calendar."""
 
     every: Duration | None = Field(
-        None, description="Interval, such as `7d`; counted from the schedule's `start`."
+        None, description="Interval, such as `7d`, counted from `start` of the schedule."
     )
     cron: Annotated[str, AfterValidator(_cron)] | None = Field(
         None,
-        description="Minute, hour, day, month and weekday as cron has them, such as "
-        '`"0 3 * * sat"`; weekdays by name.',
+        description='Minute, hour, day, month and weekday in cron syntax, such as `"0 3 * * '
+        'sat"`; weekdays by name.',
     )
 
     @model_validator(mode="after")
@@ -93,14 +97,16 @@ class Trigger(Strict):
 
     @property
     def by_time(self) -> bool:
-        """Whether time triggers it."""
+        """Whether the job is due at intervals or at calendar times."""
         return self.every is not None or self.cron is not None
 
 
 class ProbeJob(Trigger):
-    """A short program, the same every time, that is compared with the champion."""
+    """Short program that is always the same and is compared with the champion."""
 
-    spec: str = Field(description="The experiment (YAML); a path starts at the schedule's folder.")
+    spec: str = Field(
+        description="Experiment (YAML); a relative path starts at the folder of the schedule."
+    )
 
     @model_validator(mode="after")
     def _is_due_some_time(self) -> ProbeJob:
@@ -110,28 +116,40 @@ class ProbeJob(Trigger):
 
 
 class CampaignJob(Trigger):
-    """The full program, whose model challenges the champion."""
+    """Full program, whose model becomes the challenger of the champion."""
 
-    spec: str = Field(description="The experiment (YAML); a path starts at the schedule's folder.")
-    on_drift: bool = Field(True, description="Whether a probe that shows a change starts it.")
+    spec: str = Field(
+        description="Experiment (YAML); a relative path starts at the folder of the schedule."
+    )
+    on_drift: bool = Field(
+        True, description="Whether a probe that shows a change starts the campaign."
+    )
     estimator: str = Field(
-        "", description="Which of the spec's `fit` challenges; by default the first."
+        "",
+        description="Estimator of `fit` in the spec whose model becomes the challenger; by "
+        "default the first.",
     )
 
 
 class Blackout(Strict):
-    """When nothing may begin, and nothing may be under way."""
+    """Time in which no job may begin or be running."""
 
-    days: tuple[Day, ...] = Field((), description="Weekdays; by default all of them.")
+    days: tuple[Day, ...] = Field((), description="Weekdays; by default all.")
     begin: Annotated[str, AfterValidator(_clock)] = Field(
-        "00:00", description='Time of day at which it begins, such as `"08:00"`.'
+        "00:00", description='Time of day at which the blackout begins, such as `"08:00"`.'
     )
     end: Annotated[str, AfterValidator(_clock)] = Field(
-        "24:00", description="Time of day at which it ends; before `begin`: on the next day."
+        "24:00",
+        description="Time of day at which the blackout ends; a time before `begin` is on the "
+        "next day.",
     )
-    first: date | None = Field(None, description="First day, such as 2026-12-23; by default any.")
-    last: date | None = Field(None, description="Last day, itself included.")
-    why: str = Field("", description="Shown where it keeps something from being done.")
+    first: date | None = Field(
+        None, description="First day, such as 2026-12-23; by default any day."
+    )
+    last: date | None = Field(None, description="Last day, inclusive; by default any day.")
+    why: str = Field(
+        "", description="Reason, shown when the blackout delays or prevents an occasion."
+    )
 
     @model_validator(mode="after")
     def _is_a_part_of_time(self) -> Blackout:
@@ -141,98 +159,119 @@ class Blackout(Strict):
             raise mistake("must not be before first", "last")
         always = (self.begin, self.end) == ("00:00", "24:00") and not self.days
         if always and not (self.first and self.last):
-            raise mistake("nothing could ever be done: give days, begin and end, or first and last")
+            raise mistake("leaves no time for any job: give days, begin and end, or first and last")
         return self
 
 
 class Wear(Strict):
-    """Friction of a mock from some time on."""
+    """Friction of a mock after a given time."""
 
-    after: Duration = Field(description="Since the simulation's begin.")
+    after: Duration = Field(description="Time since the beginning of the simulation.")
     factors: tuple[Positive, ...] = Field(
-        description="Factor on the friction of each joint; 1 is as good as new."
+        description="Factor on the friction of each joint; 1 for a new joint."
     )
 
 
 class Simulated(Strict):
-    """What happens to a mock in the weeks of `hil schedule simulate`."""
+    """Simulated changes of a mock during `hil schedule simulate`."""
 
     room_c: tuple[Finite, Finite] = Field(
-        (18.0, 26.0), description="Every occasion finds the room between these."
+        (18.0, 26.0),
+        description="Range of the room temperature, which is drawn anew for every occasion.",
     )
-    seed: Seed = Field(1, description="Of the room's temperatures and of the noise.")
-    wear: tuple[Wear, ...] = Field((), description="How it ages; the last one that has come holds.")
+    seed: Seed = Field(1, description="Seed for the room temperatures and the noise.")
+    wear: tuple[Wear, ...] = Field(
+        (),
+        description="Wear of the mock over time; the latest entry whose time has passed applies.",
+    )
 
 
 class ScheduleSpec(Strict):
-    """One robot that is probed, and identified again when it has changed."""
+    """Schedule of one robot, which is probed, and identified again after a change."""
 
     hil_schedule: FormatVersion = Field(description="Version of the schedule format.")
-    name: Name = Field(description="Names its folder; letters, digits, `_.-`.")
-    description: str = Field("", description="What this is for; shown in the report.")
+    name: Name = Field(description="Name of the schedule's folder; letters, digits, `_.-`.")
+    description: str = Field("", description="Purpose of the schedule; shown in the report.")
     model: Name | None = Field(
-        None, description="Name in the registry; by default that of the campaign's robot."
+        None,
+        description="Name of the model in the registry; by default the name of the campaign's "
+        "robot.",
     )
     station: str | None = Field(
-        None, description="The station of probe and campaign; by default as with `hil run`."
+        None,
+        description="Station of probe and campaign; by default the station that `hil run` would "
+        "choose.",
     )
     robots: RobotAddresses = Field({})
     timezone: Annotated[str, AfterValidator(_known_zone)] = Field(
-        "UTC", description="Of all times of day here, such as `Europe/Berlin`."
+        "UTC", description="Time zone of all times of day in this file, such as `Europe/Berlin`."
     )
     start: Annotated[datetime, BeforeValidator(_moment)] | None = Field(
-        None, description="From when intervals count; by default when it is first started."
+        None,
+        description="Time from which intervals are counted; by default the first start of the "
+        "schedule.",
     )
-    probe: ProbeJob | None = Field(None, description="What is compared with the champion, when.")
-    campaign: CampaignJob = Field(description="What the next model is fitted to, and when.")
-    blackout: tuple[Blackout, ...] = Field((), description="When nothing may be done.")
+    probe: ProbeJob | None = Field(
+        None, description="Program that is compared with the champion, and its times."
+    )
+    campaign: CampaignJob = Field(
+        description="Program to which the next model is fitted, and its times."
+    )
+    blackout: tuple[Blackout, ...] = Field(
+        (), description="Times in which no job may begin or run."
+    )
     missed: Literal["run", "skip"] = Field(
         "run",
-        description="What is due while nobody can do it, because of a blackout, a robot that is "
-        "not free, or a computer that is off: done once as soon as it can be, or left out.",
+        description="Handling of an occasion that cannot be executed when it is due, because of "
+        "a blackout, a robot in use or a computer that is off: `run` executes it once, as soon "
+        "as possible; `skip` omits it.",
     )
     missed_within: Duration = Field(
-        "24h", validate_default=True, description="What was due longer ago is left out."
+        "24h",
+        validate_default=True,
+        description="Maximum delay of a missed occasion; an occasion that was due earlier is "
+        "omitted.",
     )
     wait_for_robot: Duration = Field(
-        "10min", validate_default=True, description="How long a robot in use is waited for."
+        "10min", validate_default=True, description="Maximum time to wait for a robot in use."
     )
     false_alarm: Annotated[float, Field(gt=0, lt=0.5)] = Field(
         0.01,
-        description="Probability, at most, with which a probe calls an unchanged robot changed.",
+        description="Maximum probability that a probe reports a change of an unchanged robot.",
     )
     notify: tuple[str, ...] = Field(
         (),
-        description="A command and its arguments, run after every occasion with JSON on its "
-        "standard input; no shell.",
+        description="Command and its arguments, executed after every occasion without a shell; "
+        "its standard input is JSON.",
     )
     simulate: Simulated = Field(
-        Simulated(), description="What happens to a mock with `hil schedule simulate`."
+        Simulated(), description="Changes of a mock during `hil schedule simulate`."
     )
 
     @model_validator(mode="after")
     def _something_is_due_some_time(self) -> ScheduleSpec:
         if self.probe is None and not self.campaign.by_time:
-            raise mistake("nothing is ever due: give every or cron, or a probe", "campaign")
+            raise mistake("no job is ever due: give every or cron, or a probe", "campaign")
         return self
 
 
 def is_schedule(file: str | FilePath | Source) -> bool:
-    """Return whether a file, or what was read from it, is a schedule; an unreadable one is none."""
+    """Return whether a file, or its source, is a schedule; False if it is unreadable."""
     return is_kind(file, KEY)
 
 
 def load_schedule_spec(file: str | FilePath | Source) -> ScheduleSpec:
-    """Read a schedule; the files it names must be experiments and a station.
+    """Read a schedule and check that the files it names are experiments and a station.
 
     Args:
-        file: The YAML file, or what was read from it.
+        file: YAML file of the schedule, or the source read from the file.
 
     Returns:
-        The schedule; its paths are absolute.
+        Validated schedule, in which all paths are absolute.
 
     Raises:
-        SpecError: With a line `file:line:column: path: message` for every problem.
+        SpecError: The file has problems; the message has one line `file:line:column: path: message`
+            per problem.
     """
     source = file if isinstance(file, Source) else read_source(file)
     folder = FilePath(source.name).parent

@@ -1,4 +1,4 @@
-"""What a series YAML may say: experiments that are run one after the other."""
+"""Model of a series YAML file: experiments that are run in sequence."""
 
 from __future__ import annotations
 
@@ -14,47 +14,50 @@ KEY = "hil_series"
 
 
 class SeriesEntry(Strict):
-    """One experiment of a series."""
+    """Experiment of a series."""
 
     spec: str = Field(
-        description="The experiment (YAML); a relative path starts at the folder of the series."
+        description="Experiment (YAML); a relative path starts at the folder of the series."
     )
     station: str | None = Field(
         None,
-        description="The station it runs at; by default that of the series, else the one it would "
-        "run at by itself.",
+        description="Station of this experiment; by default the station of the series, otherwise "
+        "the station that `hil run` would choose.",
     )
 
 
 class SeriesSpec(Strict):
-    """Experiments in the order they are run in, each an ordinary run."""
+    """Experiments in the order of execution, each an ordinary run."""
 
     hil_series: FormatVersion = Field(description="Version of the series format.")
-    name: Name = Field(description="Names the folder of the overview; letters, digits, `_.-`.")
-    description: str = Field("", description="What this is for; shown in the overview.")
+    name: Name = Field(description="Name of the overview's folder; letters, digits, `_.-`.")
+    description: str = Field("", description="Purpose of the series; shown in the overview.")
     station: str | None = Field(
-        None, description="The station of all experiments that name none themselves."
+        None, description="Station of all experiments that name no station."
     )
     robots: RobotAddresses = Field({})
-    series: tuple[SeriesEntry, ...] = Field(min_length=1, description="The experiments.")
+    series: tuple[SeriesEntry, ...] = Field(
+        min_length=1, description="Experiments in the order of execution."
+    )
 
 
 def is_series(file: str | FilePath | Source) -> bool:
-    """Return whether a file, or what was read from it, is a series; an unreadable one is none."""
+    """Return whether a file, or its source, is a series; False if it is unreadable."""
     return is_kind(file, KEY)
 
 
 def load_series_spec(file: str | FilePath | Source) -> SeriesSpec:
-    """Read a series; what it names must be experiments and stations, and is not checked further.
+    """Read a series; check only that the files it names are experiments and stations.
 
     Args:
-        file: The YAML file, or what was read from it.
+        file: YAML file of the series, or the source read from the file.
 
     Returns:
-        The series; its paths are absolute.
+        Validated series, in which all paths are absolute.
 
     Raises:
-        SpecError: With a line `file:line:column: path: message` for every problem.
+        SpecError: The file has problems; the message has one line `file:line:column: path: message`
+            per problem.
     """
     source = file if isinstance(file, Source) else read_source(file)
     folder = FilePath(source.name).parent
@@ -65,7 +68,7 @@ def load_series_spec(file: str | FilePath | Source) -> SeriesSpec:
 
 
 def _places(source: Source) -> list[KeyPath]:
-    """Where a series may name a file."""
+    """Return the paths of the keys in a series that possibly name a file."""
     entries = source.at(("series",))
     count = len(entries) if isinstance(entries, list) else 0
     return [

@@ -1,8 +1,9 @@
-"""Studies: whole evaluations of a run, such as a paper's tables and figures, from its data alone.
+"""Studies: evaluations that compare methods and protocols on the data of one run.
 
-A model answers "how large is the error"; a study compares methods and protocols. It sees data,
-dynamics and estimators, never a robot or a recorder, and its result is plain tables and curves:
-`hil.report` draws them in the page and as files for papers.
+One study, for example, computes the tables and figures of a paper. A study depends on data,
+dynamics and estimators, but not on a robot or a recorder. The result of a study consists of plain
+tables and curves. `hil.report` draws the tables and curves of a study in the HTML page of the run,
+and exports them as files for papers.
 """
 
 import lazy_loader

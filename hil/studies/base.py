@@ -1,4 +1,4 @@
-"""What every study shares, and how one is found by name."""
+"""Base class of studies, progress callbacks, and the lookup of a study by name."""
 
 from __future__ import annotations
 
@@ -16,23 +16,26 @@ from hil.studies.result import StudyResult
 GROUP = "hil.studies"
 
 Progress: TypeAlias = Callable[[str, int, int], None]
-"""Told what is being done, and how many of how many steps of that are done."""
+"""Progress callback `(step, done, total)`: name of the current step, number of completed parts, and
+total number of parts.
+"""
 
 
 def silent(what: str, done: int, total: int) -> None:
-    """Progress that nobody watches."""
+    """Ignore a progress update."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """A fit of a study that is done.
+    """Progress report on one completed fit of a study.
 
     Attributes:
-        number: How many are done with it.
-        total: How many there are.
-        name: What was fitted, for people.
-        seconds: How long it took by itself [s].
-        failed: `failed`, or what of it did, in words; empty when nothing did.
+        number: Number of fits completed so far, including this one.
+        total: Total number of fits.
+        name: Display name of the fit.
+        seconds: Duration of this fit alone, without other fits [s].
+        failed: `failed`, or a text that lists the failed parts of the fit; empty if the fit
+            succeeded.
     """
 
     number: int
@@ -43,53 +46,59 @@ class Ended:
 
 
 def tell_ended(progress: Progress, ended: Ended) -> None:
-    """Tell a fit that is done to a progress that has a method `ended`; others do not hear of it."""
+    """Pass a completed fit to the method `ended` of a progress callback, if this method exists."""
     if (listener := getattr(progress, "ended", None)) is not None:
         listener(ended)
 
 
 class Study(Parametrised):
-    """An evaluation of a whole run; parameters the scikit-learn way (`Parametrised`).
+    """Evaluation of a whole run, with parameters in the scikit-learn style (`Parametrised`).
 
     Attributes:
-        study: Name under which the class is registered.
+        study: Name under which the study is registered.
     """
 
     study: ClassVar[str] = ""
 
     def extras(self) -> Mapping[str, str]:
-        """Extras of this distribution that it needs, and what for; asked before any motion."""
+        """Return the optional dependencies (extras) that the study requires, each with its purpose.
+
+        The extras of a study are checked before any motion.
+        """
         return {}
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what `run` cannot do without; a run is refused before it moves if it is missing.
+        """Return the data that the method `run` requires.
+
+        A run is rejected before any motion if it cannot provide the required data.
 
         Args:
             robot: Model of the arm.
-            loaded: Whether a load is mounted in any part of the run.
+            loaded: Whether a payload is mounted in any part of the run.
         """
         return Needs()
 
     @abstractmethod
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
-        """Everything the study finds in a run; equal data and parameters give equal numbers.
+        """Evaluate a run; equal data and equal parameters give equal numbers.
 
         Args:
-            dataset: The whole run, moves included.
-            robot: Model of the arm it was recorded on.
-            progress: Told how far it is.
+            dataset: Data of the whole run, including moves between the motions.
+            robot: Model of the arm that the run was recorded on.
+            progress: Progress callback.
 
         Raises:
-            FitError, DataError: The run does not allow it.
+            FitError, DataError: The data of the run are not sufficient or not suitable.
         """
 
 
 def study(name: str, /, **params: Any) -> Study:
-    """A fresh study by the name it is registered under in `hil.studies`.
+    """Create a study by the name under which it is registered in `hil.studies`.
 
     Raises:
-        PluginError: There is no study of that name, or it does not load.
-        SpecError: It has no such parameter, or does not accept the value.
+        PluginError: No study is registered under this name, or its plug-in cannot be loaded.
+        SpecError: The study does not have one of the passed parameters, or rejects the value of a
+            parameter.
     """
     kind = plugins.load(GROUP, name)
     require_known(params, kind.parameter_names(), name)
@@ -103,10 +112,10 @@ def study(name: str, /, **params: Any) -> Study:
 
 
 def subset(name: str, given: Any, known: Sequence[str]) -> list[str]:
-    """Some of the known words, in the order of those.
+    """Return the selected names in the order of `known`, without duplicates.
 
     Raises:
-        SpecError: It is no list, is empty, or holds another word.
+        SpecError: The value is not a list, is empty, or contains an unknown name.
     """
     if isinstance(given, str) or not isinstance(given, Sequence) or not given:
         raise SpecError(f"{name} is {given!r}, but must be a list of {', '.join(known)}")

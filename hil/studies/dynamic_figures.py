@@ -1,4 +1,4 @@
-"""Figures of a study of dynamic identification."""
+"""Figures of the dynamic-identification study."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from hil.studies.figure import Curve, Figure, Panel
 from hil.studies.result import joint_titles
 
 MOST_LINES = 4
-"""Models beside the measured torque; more hide each other."""
+"""Maximum number of models drawn beside the measured torque; with more models, the curves would
+hide each other.
+"""
 
 
 def torques(found: Found, key: str) -> Figure:
-    """Measured and predicted torque over the first test trajectory."""
+    """Return the figure of measured and predicted torque over the first test trajectory."""
     t = _floats(found.t - found.t[0])
     chosen = list(found.scores)[-MOST_LINES:]
     panels = []
@@ -25,7 +27,7 @@ def torques(found: Found, key: str) -> Figure:
             shown = found.scores[name][0].shown[:, j]
             curves.append(Curve(METHODS[name].words, t, _floats(shown)))
         panels.append(Panel(title, "time [s]", "torque [N·m]", tuple(curves)))
-    caption = "Filtered, on a trajectory that no model was fitted to: the first split."
+    caption = "Filtered torques on a trajectory that no model was fitted to, first split."
     return Figure(key, "Measured and predicted joint torques", caption, tuple(panels), 2)
 
 
@@ -34,7 +36,7 @@ def _floats(values: np.ndarray) -> tuple[float, ...]:
 
 
 def by_protocol(found: Sequence[Found]) -> Figure:
-    """Mean RMSE of every method, one set of bars per protocol."""
+    """Return the bar chart of the mean RMSE of every method, with one set of bars per protocol."""
     curves = [
         Curve(
             one.protocol,

@@ -1,8 +1,8 @@
-"""Methods 1 to 3 of the PINN paper's Table I, and what else there is, under both protocols.
+"""Study of dynamic identification: Methods 1 to 3 of Table I of the PINN paper, and further ones.
 
-Everything is computed twice from one run of Fourier trajectories: with samples drawn at random from
-within the trajectories, as the paper does, and with whole trajectories held out
-(docs/explanation/dynamic-identification.md).
+All results are computed under two protocols from one run of Fourier trajectories. The `paper`
+protocol draws the test samples at random from within the trajectories. The `honest` protocol holds
+out whole trajectories (docs/explanation/dynamic-identification.md).
 """
 
 from __future__ import annotations
@@ -34,45 +34,53 @@ from hil.studies.tasks import run_tasks
 
 
 class DynamicIdentification(Study):
-    """Torque errors of identified models on Fourier trajectories, as printed and honestly."""
+    """Torque errors of identified models on Fourier trajectories, under two protocols."""
 
     study: ClassVar[str] = "dynamic-identification"
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
 
     protocols: list[str] = parameter(
-        tuple(PROTOCOLS), subset, tuple(PROTOCOLS), doc="`paper`, `honest` or both."
+        tuple(PROTOCOLS), subset, tuple(PROTOCOLS), doc="Protocols: `paper`, `honest` or both."
     )
     methods: list[str] = parameter(
-        METHOD_KEYS, subset, METHOD_KEYS, doc="Keys of `hil.studies.dynamic_methods.METHODS`."
+        METHOD_KEYS,
+        subset,
+        METHOD_KEYS,
+        doc="Compared methods: keys of `hil.studies.dynamic_methods.METHODS`.",
     )
-    splits: int = parameter(3, whole, at_least=1, doc="How often each protocol's split is drawn.")
+    splits: int = parameter(
+        3, whole, at_least=1, doc="Number of random splits of the data per protocol."
+    )
     cutoff_hz: float = parameter(
-        50.0, number, above=0.0, doc="Of the zero-phase Butterworth filter of order 5."
-    )
+        50.0, number, above=0.0,
+        doc="Cut-off frequency [Hz] of the zero-phase Butterworth filter of order 5.",
+    )  # fmt: skip
     rate_hz: float = parameter(
-        125.0, number, above=0.0, doc="Samples a fit keeps per second after filtering."
+        125.0, number, above=0.0, doc="Sample rate [Hz] of the fits, after filtering."
     )
     sign_width: float = parameter(
         0.01, number, at_least=0.0,
-        doc="Of the smooth sign [rad/s], the same for every memoryless method.",
+        doc="Width of the smooth sign function [rad/s], the same for every memoryless method.",
     )  # fmt: skip
-    figures: bool = parameter(True, flag, doc="Whether to draw any.")
-    seed: int = parameter(0, whole, at_least=0, doc="Of the first split; the others follow.")
+    figures: bool = parameter(True, flag, doc="Whether to draw figures.")
+    seed: int = parameter(
+        0, whole, at_least=0, doc="Random seed of the first split; each further split adds 1."
+    )
     jobs: int | None = parameter(
         None, whole, at_least=1, optional=True,
-        doc="Processes; None: as many as there are cores. The result does not depend on it.",
+        doc="Number of processes; None: number of cores. The result does not depend on it.",
     )  # fmt: skip
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what it cannot do without: three trajectories, and drive gains."""
+        """Return the required data: at least three trajectories, and drive gains."""
         return NEEDS
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
-        """Tables, figures and words of both protocols.
+        """Return tables, figures and texts of the selected protocols.
 
         Raises:
-            FitError: There are too few trajectories, or no method can be fitted.
-            DataError: The data cannot be filtered as asked.
+            FitError: There are too few trajectories, or none of the methods can be fitted.
+            DataError: The data cannot be filtered with the selected cut-off frequency.
         """
         trajectories = trajectories_of(dataset, robot, self.cutoff_hz, self.rate_hz)
         known = [METHODS[key] for key in self.methods]
@@ -90,7 +98,7 @@ class DynamicIdentification(Study):
         notes += _failures(found)
         return StudyResult(
             self.study,
-            "Dynamic identification, as printed and honestly",
+            "Dynamic identification, paper protocol and honest protocol",
             tuple(summary(found)),
             self._parts(found),
             self.get_params(),
@@ -108,7 +116,8 @@ class DynamicIdentification(Study):
             tables.errors(found, f"table-{name}", TITLES[name].lower()),
             tables.measured(
                 found, f"table-{name}-raw", "raw", "Against the measured effort [N·m]",
-                "The last row is the noise and whatever else lies above the filter's cut-off.",
+                "The last row contains the noise and all other signals above the cut-off frequency "
+                "of the filter.",
             ),
         ]  # fmt: skip
         drawn: tuple[Figure, ...] = ()
@@ -127,19 +136,19 @@ class DynamicIdentification(Study):
 
 
 def _failures(found: Sequence[Found]) -> list[str]:
-    """Notes about methods that failed.
+    """Return notes about the methods that failed.
 
     Raises:
-        FitError: None is left.
+        FitError: All methods of the study failed.
     """
     notes = dict.fromkeys(
-        f"{METHODS[key].words} ({METHODS[key].estimator}), {one.protocol}: left out, {reason}"
+        f"{METHODS[key].words} ({METHODS[key].estimator}), {one.protocol}: omitted, {reason}"
         for one in found
         for key, reason in one.failed.items()
     )
     if not any(one.scores for one in found):
         raise FitError(
             f"no method could be fitted: {next(iter(notes), 'none is installed')}",
-            hint="see the reasons of the others on the page; hil doctor tells what is missing",
+            hint="the page lists the other reasons; hil doctor lists missing packages",
         )
     return list(notes)

@@ -1,8 +1,9 @@
-"""Methods of a study of dynamic identification, the motions they are fitted to, and their errors.
+"""Methods of the dynamic-identification study, their training and test data, and their errors.
 
-`trajectories_of` filters the trajectories of a run once. A protocol splits them: by single samples
-as in the PINN paper, section IV, or by whole trajectories. `Protocol` lists one fit per method and
-split (`fit_and_score`) and gathers their `Score`s into `Found`.
+`trajectories_of` filters all trajectories of a run before they are split. A protocol splits the
+trajectories either by single samples, as in section IV of the PINN paper, or by whole trajectories.
+`Protocol` lists one fit per method and split (`fit_and_score`), and collects the `Score` of each
+fit in `Found`.
 """
 
 from __future__ import annotations
@@ -38,34 +39,40 @@ from hil.estimators import GROUP, Needs, RobotEstimator, estimator, require_robo
 from hil.studies.tasks import Task
 
 NEEDS = Needs({"trajectories": 3}, gains=True)
-"""Trajectories to fit on, for methods that choose something, and to judge on."""
+"""Required data: drive gains, and one trajectory each for training, validation and testing."""
 
 SHARES = (0.6, 0.2, 0.2)
-"""Of the samples, to train, validate and test on: the PINN paper, section IV."""
+"""Shares of the samples for training, validation and testing (section IV of the PINN paper)."""
 
 OF_TWELVE = (7, 2, 3)
-"""Trajectories to train, validate and test on, the same shares in whole trajectories."""
+"""Numbers of training, validation and test trajectories out of twelve trajectories; close to
+`SHARES`.
+"""
 
 MOVING_RAD_S = 0.05
-"""A joint that is faster is away from its reversals."""
+"""Minimum joint speed [rad/s] at which a sample counts as moving, away from reversals."""
 
 REVERSAL_S = 0.05
-"""A sample so close to a change of a joint's direction belongs to that reversal."""
+"""Maximum time between a reversal and a sample that is marked as near the reversal [s]."""
 
 MOVING, REVERSAL = "joint_moving", "joint_reversal"
-"""Columns (N, n), 1 where a joint does so and 0 elsewhere: they survive any split."""
+"""Names of the columns (N, n) that mark samples with moving joints and samples near reversals: 1 if
+marked, 0 otherwise.
+
+The marks of the samples are stored as columns because every split of the data preserves columns.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectories:
-    """A run as a study of dynamics sees it.
+    """Filtered trajectories of a run for a study of dynamics.
 
     Attributes:
-        data: Filtered, with the columns `MOVING` and `REVERSAL`.
-        thinned: Its rows that are kept.
-        filters: As it was filtered and thinned, for estimators.
+        data: Filtered data with the columns `MOVING` and `REVERSAL`.
+        thinned: Rows of `data` that remain after downsampling.
+        filters: Filter and downsampling settings that are passed to the estimators.
         scale: (n,) torque per unit of effort.
-        notes: What is not as in the paper.
+        notes: Texts that describe differences from the data of the paper.
     """
 
     data: Dataset
@@ -78,17 +85,18 @@ class Trajectories:
 def trajectories_of(
     whole: Dataset, robot: RobotModel, cutoff_hz: float, rate_hz: float
 ) -> Trajectories:
-    """The trajectories of a run, filtered at their own rate before samples are left out.
+    """Return the trajectories of a run, filtered at the recorded rate and then downsampled.
 
     Args:
-        whole: The run.
-        robot: Model of its arm.
-        cutoff_hz: Of the fifth-order Butterworth filter, forwards and backwards.
-        rate_hz: Samples kept per second, as nearly as whole steps allow.
+        whole: Data of the whole run, including moves between the trajectories.
+        robot: Model of the arm.
+        cutoff_hz: Cut-off frequency [Hz] of the zero-phase fifth-order Butterworth filter.
+        rate_hz: Target rate after downsampling [Hz]; the downsampling factor is rounded to an
+            integer.
 
     Raises:
-        FitError: There are too few trajectories, or the robot is another.
-        DataError: The cut-off is too high for the recorded rate, or for the samples kept.
+        FitError: There are too few trajectories, or the data are from a different robot.
+        DataError: The cut-off frequency is too high for the recorded or the downsampled rate.
     """
     require_robot(whole, robot)
     data = whole.of_kind("trajectory")
@@ -108,18 +116,24 @@ def trajectories_of(
 
 
 def highest_cutoff(data: Dataset, rate_hz: float) -> float:
-    """The highest cut-off [Hz] that `trajectories_of` takes for these trajectories, to a tenth."""
+    """Return the highest cut-off frequency [Hz] that `trajectories_of` accepts.
+
+    The highest accepted cut-off frequency is rounded down to 0.1 Hz.
+    """
     recorded = sample_rate(data["t"][slice(*data.offsets[:2])])
     every = max(1, round(recorded / rate_hz))
     return _floor(0.5 * MAX_NYQUIST_FRACTION * recorded / every)
 
 
 def _require_below(cutoff_hz: float, recorded_hz: float, every: int) -> None:
-    """Refuse a cut-off that filter or thinning would, but as the parameter of the study."""
+    """Raise if the cut-off frequency is too high for the filter or the downsampling.
+
+    The error message names the parameters of the study instead of the parameters of the filter.
+    """
     kept, highest = (_floor(0.5 * MAX_NYQUIST_FRACTION * recorded_hz / n) for n in (every, 1))
     if cutoff_hz <= kept * (1 + CLOCK):
         return
-    thinned = f", of which rate_hz keeps {recorded_hz / every:.4g} a second" if every > 1 else ""
+    thinned = f" and downsampled by rate_hz to {recorded_hz / every:.4g} Hz" if every > 1 else ""
     more = f", or up to {highest:g} Hz with a higher rate_hz" if every > 1 else ""
     raise DataError(
         f"cutoff_hz is {cutoff_hz:g} Hz: too high for data recorded at "
@@ -129,13 +143,16 @@ def _require_below(cutoff_hz: float, recorded_hz: float, every: int) -> None:
 
 
 def _floor(hz: float) -> float:
-    """To a tenth that may be asked for; rates out of time stamps are off in the last digits."""
+    """Round a frequency down to 0.1 Hz.
+
+    A small tolerance compensates for rounding errors in frequencies computed from time stamps.
+    """
     return math.floor(10.0 * hz * (1.0 + 1e-9)) / 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parts:
-    """What one split gives: to fit on, left for choices, and to judge on."""
+    """Training, validation and test data of one split."""
 
     train: Dataset
     validation: Dataset
@@ -143,12 +160,18 @@ class Parts:
 
 
 def paper_parts(of: Trajectories, seed: int) -> Parts:
-    """60/20/20 % of the samples kept, drawn one by one: neighbours in time land on all sides."""
+    """Split the downsampled rows at random: 60 % training, 20 % validation, 20 % test rows.
+
+    Samples that are neighbours in time can belong to different parts of the split.
+    """
     return Parts(*paper_sample_split(of.thinned, SHARES, seed))
 
 
 def honest_parts(of: Trajectories, seed: int) -> Parts:
-    """The same shares of whole trajectories: 7, 2 and 3 of twelve; fits leave rows out."""
+    """Split whole trajectories: 7, 2 and 3 of twelve, or the same shares of a different number.
+
+    The estimators downsample the data later; this function does not downsample the data.
+    """
     outer = held_out(of, seed)
     chosen_by = max(1, round(OF_TWELVE[1] * _twelfths(of)))
     inner = split(outer.train, "trajectory", chosen_by, seed)
@@ -156,7 +179,7 @@ def honest_parts(of: Trajectories, seed: int) -> Parts:
 
 
 def held_out(of: Trajectories, seed: int) -> Split:
-    """Whole trajectories to judge on, 3 of twelve, and the others."""
+    """Split off whole trajectories for testing: 3 of twelve, or the same share of others."""
     return split(of.data, "trajectory", max(1, round(OF_TWELVE[2] * _twelfths(of))), seed)
 
 
@@ -165,7 +188,7 @@ def _twelfths(of: Trajectories) -> float:
 
 
 def marked(data: Dataset) -> Dataset:
-    """With the columns that say where each joint moves and where it turns round."""
+    """Return the data with the columns `MOVING` and `REVERSAL`."""
     moving = np.abs(data["qd_f"]) > MOVING_RAD_S
     reversal = np.zeros_like(moving)
     for start, stop in pairwise(data.offsets.tolist()):
@@ -176,15 +199,15 @@ def marked(data: Dataset) -> Dataset:
 
 
 def near_reversals(t: FloatArray, qd: FloatArray) -> BoolArray:
-    """(N, n) where a joint changes direction within `REVERSAL_S`.
+    """Return (N, n) flags of samples within `REVERSAL_S` of a direction change of a joint.
 
     Args:
-        t: (N,) increasing [s].
-        qd: (N, n) filtered velocity.
+        t: (N,) increasing times [s].
+        qd: (N, n) filtered velocities.
     """
     found = np.zeros(qd.shape, dtype=bool)
     for j in range(qd.shape[1]):
-        moves = np.flatnonzero(qd[:, j])  # a standstill on the way is part of the reversal
+        moves = np.flatnonzero(qd[:, j])  # a pause in between is part of the reversal
         turned = np.diff(np.sign(qd[moves, j])) != 0
         turns = t[moves[1:][turned]]
         if len(turns):
@@ -197,14 +220,15 @@ def near_reversals(t: FloatArray, qd: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A way to predict joint torques.
+    """Method for predicting joint torques, to be compared by the study.
 
     Attributes:
-        key: In the spec.
-        words: In tables.
-        estimator: Name it is registered under.
-        params: Of the estimator, beside those all share.
-        memory: Whether its friction follows the path: it needs whole motions and no smooth sign.
+        key: Key of the method in the spec.
+        words: Name of the method in the tables of results.
+        estimator: Name under which the estimator is registered.
+        params: Parameters of the estimator in addition to the parameters that all methods share.
+        memory: Whether the friction model depends on the path of the joint. A friction model with
+            memory needs whole motions and uses no smoothed sign function.
     """
 
     key: str
@@ -215,7 +239,7 @@ class Method:
 
 
 AS_PUBLISHED: Mapping[str, Any] = {"filter_columns": False}
-"""Friction columns are those of the filtered velocity."""
+"""Estimator parameters as published: friction columns are computed from the filtered velocity."""
 
 METHODS = {
     method.key: method
@@ -239,15 +263,15 @@ METHOD_KEYS = tuple(METHODS)
 
 
 def missing(method: Method) -> bool:
-    """Whether no distribution installed here has the estimator."""
+    """Return whether the estimator of a method is not installed."""
     return method.estimator not in plugins.names(GROUP)
 
 
 def unfitted(method: Method, sign_width: float, filters: FilterSettings) -> RobotEstimator:
-    """The method's estimator with the parameters all share.
+    """Return an unfitted estimator for a method, with the parameters that all methods share.
 
     Raises:
-        PluginError, SpecError: There is no such estimator, or it takes other parameters.
+        PluginError, SpecError: The estimator does not exist, or rejects one of its parameters.
     """
     shared: dict[str, Any] = {"filters": filters}
     if not method.memory:
@@ -256,24 +280,29 @@ def unfitted(method: Method, sign_width: float, filters: FilterSettings) -> Robo
 
 
 SHOWN = 250
-"""Samples a figure shows of the first test trajectory, spread evenly over it."""
+"""Number of samples of the first test trajectory in a figure, evenly spaced over the trajectory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
-    """One fit of one method, in N·m, per joint; NaN where there is nothing to judge.
+    """Prediction errors of one fit per joint [N·m]; NaN if a joint has no test samples.
 
     Attributes:
-        filtered, raw: (n,) RMSE against the filtered and the measured effort.
-        moving, reversal: (n,) RMSE against the filtered one, in those samples only.
-        percent: (n,) largest error over largest torque (MEP), filtered.
-        training: (n,) RMSE on the training samples, filtered.
-        seconds: CPU time of the fit.
-        condition: Of the column-scaled regressor; NaN where the method has none.
-        parameters: How many it fits, 0 where it does not say.
-        uncertain: Share of parameters not told from 0 by two standard errors; NaN without errors.
-        shown: (·, n) predicted torque at `shown_rows`, for a figure.
-        failed: Why there is nothing; empty when there is.
+        filtered, raw: (n,) RMSE relative to the filtered effort and to the unfiltered measured
+            effort.
+        moving, reversal: (n,) RMSE relative to the filtered effort, in samples with a moving joint
+            and in samples near reversals.
+        percent: (n,) largest error divided by the largest torque (MEP) [%], relative to the
+            filtered effort.
+        training: (n,) RMSE on the training samples, relative to the filtered effort.
+        seconds: CPU time of the fit [s].
+        condition: Condition number of the column-scaled regressor; NaN if the method has no
+            regressor.
+        parameters: Number of fitted parameters; 0 if the estimator does not report the number.
+        uncertain: Share of the parameters that differ from 0 by less than two standard errors; NaN
+            if the method has no standard errors.
+        shown: (·, n) predicted torque in the rows `shown_rows`, for a figure.
+        failed: Reason why the fit failed; empty if the fit succeeded.
     """
 
     filtered: FloatArray
@@ -293,16 +322,19 @@ class Score:
 def fit_and_score(
     method: Method, parts: Parts, robot: RobotModel, sign_width: float, filters: FilterSettings
 ) -> Score:
-    """Fit to the training part and judge on the test part; a failure is told, not raised."""
+    """Fit a method to the training data and evaluate the model on the test data.
+
+    An error of the fit is returned in `Score.failed` instead of being raised.
+    """
     begin = time.process_time()
     try:
         model = unfitted(method, sign_width, filters).fit(parts.train, robot)
         return score(model, parts, time.process_time() - begin)
     except HilError as error:
         return _nothing(robot.n, error.message)
-    # Estimators are plug-ins: one that breaks down must not cost what the others took.
+    # Estimators are plug-ins: an unexpected error of one must not discard the results of others.
     except Exception as error:
-        return _nothing(robot.n, f"it broke down: {type(error).__name__}: {error}")
+        return _nothing(robot.n, f"it failed with {type(error).__name__}: {error}")
 
 
 def _nothing(n: int, failed: str) -> Score:
@@ -311,12 +343,12 @@ def _nothing(n: int, failed: str) -> Score:
 
 
 def score(model: RobotEstimator, parts: Parts, seconds: float = 0.0) -> Score:
-    """How a fitted model does on the test part.
+    """Return the prediction errors of a fitted model on the test data.
 
     Args:
-        model: Fitted to the training part.
-        parts: With the columns `MOVING` and `REVERSAL`.
-        seconds: CPU time the fit took.
+        model: Model fitted to the training data.
+        parts: Training, validation and test data with the columns `MOVING` and `REVERSAL`.
+        seconds: CPU time of the fit [s].
     """
     test, scale = parts.test, model.torque_scale_
     predicted = model.predict(test)
@@ -349,7 +381,10 @@ def _uncertain(model: RobotEstimator) -> float:
 
 
 def rmse_where(measured: FloatArray, predicted: FloatArray, where: BoolArray) -> FloatArray:
-    """(n,) RMSE of every joint over its rows of `where` (N, n); NaN where it has none."""
+    """Return the (n,) RMSE of every joint over the rows that the mask `where` (N, n) selects.
+
+    The RMSE of a joint without selected rows is NaN.
+    """
     found = [
         rmse(measured[rows, j, None], predicted[rows, j, None]) for j, rows in enumerate(where.T)
     ]
@@ -357,7 +392,10 @@ def rmse_where(measured: FloatArray, predicted: FloatArray, where: BoolArray) ->
 
 
 def percent_where(measured: FloatArray, predicted: FloatArray, where: BoolArray) -> FloatArray:
-    """(n,) largest error over largest torque (MEP) of every joint over its rows of `where`."""
+    """Return the (n,) largest error over largest torque (MEP) [%] in the rows of `where` (N, n).
+
+    The MEP of a joint without selected rows is NaN.
+    """
     found = [
         mep(measured[rows, j, None], predicted[rows, j, None]) for j, rows in enumerate(where.T)
     ]
@@ -365,7 +403,7 @@ def percent_where(measured: FloatArray, predicted: FloatArray, where: BoolArray)
 
 
 def shown_rows(test: Dataset) -> IntArray:
-    """Numbers of the rows that a figure shows."""
+    """Return the numbers of the rows that a figure shows."""
     end = int(test.offsets[1])
     return np.unique(np.linspace(0, end - 1, min(SHOWN, end)).astype(np.int64))
 
@@ -376,19 +414,24 @@ PROTOCOLS: Mapping[str, Callable[[Trajectories, int], Parts]] = {
 }
 
 COLUMNS = ("t", "q", "qd", "qdd", "effort", "temperature")
-"""What estimators may ask for, beside what the study added: the rest does not travel."""
+"""Names of the recorded columns that estimators may use.
+
+Only these recorded columns and the columns added by the study are copied to other processes.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """One protocol: the same splits for every method.
+    """Results of one protocol; all methods of a protocol use the same splits.
 
     Attributes:
-        protocol: Its name.
-        scores: By key of the method, one per split; methods that failed in any are left out.
-        failed: By key of the method, why.
-        t, measured: (rows,), (rows, n) time and torque that `Score.shown` predicts, first split.
-        noise: (n,) RMS of what the filter took out of the measured effort, in N·m.
+        protocol: Name of the protocol.
+        scores: Scores by method key, one score per split; a method that failed in any split is
+            omitted.
+        failed: Reasons why methods failed, by method key.
+        t, measured: (rows,) time and (rows, n) measured torque in the first split, for comparison
+            with `Score.shown`.
+        noise: (n,) RMS [N·m] of the part of the measured effort that the filter removes.
     """
 
     protocol: str
@@ -399,16 +442,16 @@ class Found:
     noise: FloatArray
 
     def mean(self, key: str, measure: str) -> FloatArray:
-        """(n,) mean over the splits."""
+        """Return the (n,) mean of a measure over all splits."""
         return np.asarray(np.mean(self._all(key, measure), axis=0))
 
     def spread(self, key: str, measure: str) -> float:
-        """Standard deviation over the splits of the mean over the joints; NaN with one split."""
+        """Return the standard deviation over the splits of the joint mean; NaN for one split."""
         means = np.mean(self._all(key, measure), axis=1)
         return float(np.std(means, ddof=1)) if len(means) > 1 else float("nan")
 
     def average(self, key: str, measure: str) -> float:
-        """Mean over joints and splits, NaN where a joint has none."""
+        """Return the mean of a measure over joints and splits; NaN if a joint has no value."""
         return float(np.mean(self.mean(key, measure)))
 
     def _all(self, key: str, measure: str) -> FloatArray:
@@ -416,15 +459,16 @@ class Found:
 
 
 class Protocol:
-    """Prepares the fits of one protocol, and gathers what came of them.
+    """Data splits and fits of one protocol.
 
     Args:
-        name: Key of `PROTOCOLS`.
-        trajectories: Of the run.
+        name: Name of the protocol, a key of `PROTOCOLS`.
+        trajectories: Trajectories of the run.
         robot: Model of the arm.
-        methods: To compare.
-        seeds: One split each.
-        sign_width: Of the smooth sign, the same for every method that has one.
+        methods: Methods that the protocol compares.
+        seeds: Random seeds, one per split.
+        sign_width: Width of the smoothed sign function [rad/s], equal for all methods that use this
+            function.
     """
 
     def __init__(
@@ -441,7 +485,7 @@ class Protocol:
         self._scale = trajectories.scale
         torn = name == "paper"
         self._methods = tuple(method for method in methods if not (torn and method.memory))
-        # Torn samples cannot be thinned again: no filter knows how far apart they are.
+        # Randomly drawn samples are not equidistant and therefore cannot be downsampled again.
         once = {"every": 1} if torn else {}
         self._filters = trajectories.filters.model_copy(update=once)
         lighter = replace(
@@ -450,7 +494,7 @@ class Protocol:
         self._splits = [PROTOCOLS[name](lighter, seed) for seed in seeds]
 
     def tasks(self) -> list[Task]:
-        """Every fit, in the order `gather` wants their results."""
+        """Return one task per fit, in the order in which `gather` reads the results."""
         return [
             Task(
                 partial(fit_and_score, method, parts, self._robot, self._sign_width, self._filters),
@@ -462,7 +506,7 @@ class Protocol:
         ]
 
     def gather(self, results: Iterator[Score]) -> Found:
-        """The results of `tasks`, taken from the front of `results`."""
+        """Collect the results of the tasks of `tasks` from the front of the iterator `results`."""
         scores: dict[str, list[Score]] = {}
         failed: dict[str, str] = {}
         for method in self._methods:
@@ -480,12 +524,12 @@ class Protocol:
 
 
 def _failed(score: Score) -> str:
-    """As `Ended` tells it."""
+    """Return the failure text of a score for a progress report (`Ended.failed`)."""
     return "failed" if score.failed else ""
 
 
 def light(data: Dataset) -> Dataset:
-    """With no more columns than estimators may ask for."""
+    """Return the data with only those columns that estimators may use."""
     kept = [
         name
         for name in data.columns

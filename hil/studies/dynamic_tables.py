@@ -1,8 +1,9 @@
-"""Tables and sentences of a study of dynamic identification: RMSE in N·m per joint.
+"""Tables and summary sentences of the dynamic-identification study, with RMSE in N·m per joint.
 
-Rows of the PINN paper's Table II, whose robot is a ROKAE XB7S, stand beside ours. The text that
-came with this project has a stray 0 behind the first digit of every figure ("50.19" for 5.19); with
-it taken out, the mean of every row is the printed average.
+The tables also contain the rows of Table II of the PINN paper, whose robot is a ROKAE XB7S. The
+source text of Table II has an extra 0 after the first digit of every number ("50.19" for 5.19). The
+extra 0 of the numbers from Table II is removed here. Without the extra 0, the mean of every row
+equals the average printed in Table II.
 """
 
 from __future__ import annotations
@@ -17,24 +18,30 @@ from hil.studies.result import Table, Value, joint_titles, value, values, with_m
 PRINTED = "as printed, another robot: "
 
 AVERAGES = {"wls": 5.19, "lmi": 3.93, "irls": 3.68}
-"""As printed."""
+"""Mean RMSE [N·m] by method key, as printed in the PINN paper."""
 
 TABLE_II: dict[str, tuple[float, ...]] = {
     "wls": (8.47, 14.07, 5.35, 1.51, 1.11, 0.61),
     "lmi": (6.23, 8.83, 3.15, 2.15, 2.23, 0.98),
     "irls": (7.30, 8.67, 3.54, 1.23, 0.84, 0.52),
 }
-"""RMSE [N·m] by key of `hil.studies.dynamic_methods`: Methods 1, 2 and 3."""
+"""RMSE per joint [N·m] of Methods 1, 2 and 3 by method key (`hil.studies.dynamic_methods`), as
+printed in the PINN paper.
+"""
 
 _NOTE = (
-    "Against the filtered effort. MEP: largest error over largest torque, mean over the joints. "
-    "Rows of the paper are of a ROKAE XB7S, with the stray 0 taken out of its figures: they say "
-    "how large such errors are, not who is better."
+    "Errors relative to the filtered effort. MEP: largest error divided by largest torque, mean "
+    "over the joints. The rows of the paper are for a different robot (ROKAE XB7S), with the "
+    "misprinted 0 removed from its figures: they show the order of magnitude and do not rank the "
+    "methods."
 )
 
 
 def errors(found: Found, key: str, what: str) -> Table:
-    """RMSE against the filtered effort, with its spread over the splits and the largest error."""
+    """Return the table of the RMSE of each method relative to the filtered effort.
+
+    Further columns of the table contain the spread over the splits and the largest error (MEP).
+    """
     n = len(found.noise)
     rows: list[tuple[Value, ...]] = [
         (
@@ -56,17 +63,25 @@ def errors(found: Found, key: str, what: str) -> Table:
 
 
 def measured(found: Found, key: str, measure: str, title: str, note: str) -> Table:
-    """One measure of every method, per joint and mean; with the noise where it is a part of it."""
+    """Return the table of one measure of every method, per joint and as mean.
+
+    The table of the measure `raw` has an additional row with the part of the effort that the filter
+    removes.
+    """
     rows: list[tuple[Value, ...]] = [
         (METHODS[name].words, *with_mean(found.mean(name, measure))) for name in found.scores
     ]
     if measure == "raw":
-        rows.append(("what the filter takes out", *with_mean(found.noise)))
+        rows.append(("signal removed by the filter", *with_mean(found.noise)))
     return Table(key, title, ("method", *joint_titles(len(found.noise)), "mean"), tuple(rows), note)
 
 
 def fits(found: Found, key: str) -> Table:
-    """What each fit was like: parameters, condition, errors told, seconds."""
+    """Return the table that describes the fits of the methods.
+
+    The columns of the table are: number of parameters, condition number, share of uncertain
+    parameters, training RMSE, CPU time.
+    """
     rows: list[tuple[Value, ...]] = []
     for name, scores in found.scores.items():
         first = scores[0]
@@ -74,17 +89,17 @@ def fits(found: Found, key: str) -> Table:
         told = (first.condition, 100.0 * first.uncertain, found.average(name, "training"), seconds)
         rows.append((METHODS[name].words, first.parameters or None, *values(told)))
     columns = (
-        "method", "parameters", "condition", "not told from 0 [%]", "training RMSE [N·m]", "CPU s",
+        "method", "parameters", "condition", "uncertain [%]", "training RMSE [N·m]", "CPU s",
     )  # fmt: skip
     note = (
-        "Condition of the column-scaled regressor. Not told from 0: share of the parameters "
-        "within two of their standard errors."
+        "Condition: condition number of the column-scaled regressor. Uncertain: share of the "
+        "parameters that differ from 0 by less than two standard errors."
     )
     return Table(key, "The fits", columns, tuple(rows), note)
 
 
 def both(found: Sequence[Found]) -> Table:
-    """Mean RMSE of every method under every protocol, side by side."""
+    """Return the table of the mean RMSE of every method, with one column per protocol."""
     names = [name for name in METHODS if any(name in one.scores for one in found)]
     rows = [
         (
@@ -106,13 +121,14 @@ LABELS = {
 
 TEXTS = {
     "paper": (
-        "60/20/20 % of the samples, drawn one by one. A test sample's neighbours in time were "
-        "trained on, and at 100 Hz they are nearly the same sample: these errors say little about "
-        "another motion.",
+        "60/20/20 % of the samples, drawn individually. The neighbours in time of a test sample "
+        "are in the training set and, at 100 Hz, nearly equal to the sample: these errors say "
+        "little about other motions.",
     ),
     "honest": (
-        "7, 2 and 3 of twelve trajectories to fit on, to choose by and to judge on. Methods that "
-        "choose nothing leave the two in the middle unused, so that all are fitted to the same.",
+        "7, 2 and 3 of twelve trajectories for training, validation and testing. Methods that need "
+        "no validation do not use the two validation trajectories, so that all methods have the "
+        "same training data.",
     ),
 }
 
@@ -121,7 +137,7 @@ _CLASSICAL = ("ols", "wls", "lmi", "lmi-weighted", "irls", "ridge", "tls", "diff
 
 
 def summary(found: Sequence[Found]) -> Iterator[str]:
-    """What to take away, one sentence each."""
+    """Yield the main conclusions of the study, one sentence each."""
     for one in found:
         known = [key for key in _CLASSICAL if key in one.scores]
         if known:
@@ -133,6 +149,6 @@ def summary(found: Sequence[Found]) -> Iterator[str]:
             if OURS in one.scores:
                 ours = one.average(OURS, "filtered")
                 yield (
-                    f"Friction with memory leaves {ours:.3g} N·m, "
+                    f"With friction with memory, the error is {ours:.3g} N·m, "
                     f"{100 * (1 - ours / one.average(best, 'filtered')):.0f} % less."
                 )

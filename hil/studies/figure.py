@@ -1,13 +1,15 @@
-"""The one description of a figure: panels of curves with titled axes, and nothing about drawing.
+"""Description of figures: panels of curves with titled axes, independent of a plotting library.
 
-Whoever has something to show builds a `Figure`; `hil.report` draws it with plotly in a page and
-with matplotlib in a file. A curve without a `Look` gets one by the order of its name in the figure,
-so that the same name looks the same in every panel; pages whose colours have a meaning (measured,
-predicted, joint 3) give the look. The legend is not described: it follows from names and looks.
+Reports and studies describe their figures by the class `Figure`. `hil.report` draws a `Figure` with
+plotly in an HTML page and with matplotlib in a file. A curve without a `Look` gets a look from the
+order of the curve names in the figure. Curves with the same name therefore look the same in every
+panel of a figure. Pages whose colours have a meaning (measured, predicted, joint 3) set the look of
+each curve explicitly. The legend of a figure is derived from the names and looks of the curves.
 
-Studies store their figures in `study.json` (`to_dict`, `figure_from_dict`). A field that was added
-later than the file format is stored only where it is not its default: older files can be read, and
-figures that do not use it are stored as before.
+Studies store their figures in the file `study.json` (`to_dict`, `figure_from_dict`). A field that
+was added to the file format after the first version is stored only if its value differs from its
+default. Older figure files therefore remain readable, and figures that do not use an added field
+are stored unchanged.
 """
 
 from __future__ import annotations
@@ -22,9 +24,12 @@ import numpy as np
 from hil.core import FloatArray
 
 Style = Literal["line", "points", "marked", "bars", "ticks", "ranges", "identity"]
-"""`marked` is a line with a mark at every point, `ticks` a stroke across a bar, `ranges` a broad
-bar of ± `y_error` behind the data. `identity` is the line y = x over the range of the panel; its x
-and y stay empty."""
+"""Drawing style of a curve.
+
+The style `marked` draws a line with a marker at every point. The style `ticks` draws a short stroke
+across a bar. The style `ranges` draws a wide bar of ± `y_error` behind the data. The style
+`identity` draws the line y = x over the range of the panel; x and y of the curve are empty.
+"""
 
 Scale = Literal["linear", "log", "date"]
 Numbers: TypeAlias = Sequence[float] | FloatArray
@@ -32,14 +37,18 @@ Numbers: TypeAlias = Sequence[float] | FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How a curve is drawn, in plotly's words; each part alone tells neighbours apart.
+    """Colour, line style and markers of a curve, named as in plotly.
+
+    Each of the properties colour, dash, symbol and pattern alone distinguishes a curve from its
+    neighbours.
 
     Attributes:
-        colour: Of the report's palette, `#RRGGBB`.
-        dash, symbol, pattern: Of a line, of points, of bars.
-        width: Of a line [px].
-        size: Of a mark [px]; 0 for one that suits the number of points.
-        opacity: Of marks.
+        colour: Colour from the palette of the report, `#RRGGBB`.
+        dash, symbol, pattern: Names of the line style, of the marker symbol and of the fill pattern
+            of bars.
+        width: Width of the line [px].
+        size: Marker size [px]; 0 selects a size that suits the number of points.
+        opacity: Opacity of the markers, from 0 to 1.
     """
 
     colour: str
@@ -53,16 +62,17 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One series of a panel.
+    """Data series of a panel: one curve, point cloud or set of bars.
 
     Attributes:
-        name: For the legend; neighbours in other panels with the same name look the same.
-        x: Numbers; names for bars, ISO times for dates.
-        y: As many numbers.
-        style: How it is drawn.
-        y_error: Half-widths of error bars, or empty.
-        look: By default one by the order of names.
-        hover: A word for each point, shown under the pointer.
+        name: Name of the curve in the legend; curves with the same name look the same in every
+            panel.
+        x: Values of x: numbers, category names for bars, or ISO times on a date axis.
+        y: Values of y: numbers, one per value of x.
+        style: Drawing style.
+        y_error: Half-widths of the error bars; empty for a curve without error bars.
+        look: Look of the curve; None selects a look according to the order of the curve names.
+        hover: Texts shown under the mouse pointer, one per point.
     """
 
     name: str
@@ -76,11 +86,11 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grid:
-    """Counts over two quantities.
+    """Two-dimensional histogram.
 
     Attributes:
-        x, y: Centres of the cells, (M,) and (N,).
-        log_count: (N, M) decimal logarithms of the counts; NaN where nothing was counted.
+        x, y: (M,) and (N,) coordinates of the cell centres.
+        log_count: (N, M) decimal logarithms of the counts; NaN for an empty cell.
     """
 
     x: FloatArray
@@ -90,13 +100,13 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """How values stand along an axis.
+    """Scale and limits of one axis of a panel.
 
     Attributes:
-        scale: `date` for ISO times.
-        limits: From and to; by default what the curves need.
-        from_zero: Begin at zero.
-        whole: Numbers that are counted: no ticks between them.
+        scale: Scale of the axis: `linear`, `log`, or `date` for ISO times.
+        limits: Lower and upper limit of the axis; None selects the range of the curves.
+        from_zero: Whether the axis starts at zero.
+        whole: Whether the values are counts, so that ticks are placed only at whole numbers.
     """
 
     scale: Scale = "linear"
@@ -107,7 +117,7 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """An area of ± `half` about zero behind the curves."""
+    """Shaded area of ± `half` around zero, behind the curves."""
 
     name: str
     half: float
@@ -115,7 +125,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A dotted vertical line with a word at its upper end; `name` is for the legend."""
+    """Dotted vertical line with a label at its upper end; `name` appears in the legend."""
 
     x: float | str
     text: str = ""
@@ -124,7 +134,11 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A shaded stretch of x; of a dwell with its approach, +1 from below and −1 from above."""
+    """Shaded interval of x values, such as the time of a dwell.
+
+    For a dwell, `approach` is the approach direction: +1 for an approach from below, −1 for an
+    approach from above.
+    """
 
     begin: float
     end: float
@@ -133,19 +147,21 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One pair of axes.
+    """Panel of a figure: one pair of axes with curves.
 
     Attributes:
-        title: Above it.
-        x_title, y_title: With units.
-        curves: In drawing order.
-        corner: Text inside it, such as `R = 0.998`.
-        alt: What it shows, in words, for those who do not see it; by default the ranges of y.
-        wide: Takes the whole width of a page.
-        x_axis, y_axis: How values stand along them.
-        band, marks, spans: Behind the curves.
-        grid: Instead of curves.
-        square: The same scale along both axes.
+        title: Title above the axes.
+        x_title, y_title: Axis titles with units.
+        curves: Curves of the panel in drawing order.
+        corner: Text inside the panel, such as `R = 0.998`.
+        alt: Alternative text for readers who cannot see the figure; the default text states the
+            ranges of y.
+        wide: Whether the panel takes the whole width of a page.
+        x_axis, y_axis: Scales and limits of the two axes.
+        band, marks, spans: Shaded band, vertical lines and shaded intervals drawn behind the
+            curves.
+        grid: Two-dimensional histogram that is drawn instead of curves.
+        square: Whether the x axis and the y axis have the same scale.
     """
 
     title: str
@@ -166,14 +182,15 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """Panels that belong together, under one legend.
+    """Group of panels with a common legend.
 
     Attributes:
-        key: Short and stable, e.g. `fig-7`; names the file it is exported to.
-        title: What it shows.
-        caption: How to read it.
-        panels: In reading order.
-        per_row: Panels side by side; 0 for as many as there is room for.
+        key: Short stable identifier of the figure, such as `fig-7`; also the name of the exported
+            file.
+        title: Title of the figure.
+        caption: Text below the title that explains the figure.
+        panels: Panels of the figure in reading order.
+        per_row: Number of panels side by side; 0 selects as many panels as fit.
     """
 
     key: str
@@ -184,17 +201,23 @@ class Figure:
     kind: ClassVar = "figure"
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form, but for arrays and NaN; `hil.core.json_value` converts those."""
+        """Return the figure as a dictionary for JSON.
+
+        Arrays and NaN remain unchanged in the dictionary; `hil.core.json_value` converts them to
+        JSON values.
+        """
         stored: dict[str, Any] = _stored(self)
         return stored
 
 
 ALWAYS_STORED = frozenset({"per_row", "corner", "x", "y", "style", "y_error"})
-"""Fields with a default that every file has had since the first version of the format."""
+"""Fields that have a default and are nevertheless contained in every file since the first version
+of the format.
+"""
 
 
 def _stored(value: Any) -> Any:
-    """The fields of a dataclass by name, all the way down; anything else as it is."""
+    """Return the fields of a dataclass by name, recursively; return any other value unchanged."""
     if isinstance(value, list | tuple) and value and is_dataclass(value[0]):
         return [_stored(item) for item in value]
     if not is_dataclass(value):
@@ -212,21 +235,21 @@ Readers: TypeAlias = Mapping[str, Callable[[Any], Any]]
 
 
 def _read(kind: Callable[..., Made], readers: Readers, raw: Any) -> Made:
-    """Make one of the classes above; a field that is not in the file has its default."""
+    """Create an object of a figure class from JSON; a missing field gets its default value."""
     return kind(**{name: read(raw[name]) for name, read in readers.items() if name in raw})
 
 
 def figure_from_dict(raw: Mapping[str, Any]) -> Figure:
-    """Inverse of `Figure.to_dict`, from JSON as well; sequences come back as tuples.
+    """Create a figure from the output of `Figure.to_dict` or from JSON; sequences become tuples.
 
     Raises:
-        KeyError, TypeError, ValueError: Something is missing or garbled.
+        KeyError, TypeError, ValueError: A field of the figure is missing or invalid.
     """
     return _read(Figure, _FIGURE, raw)
 
 
 def _number(raw: Any) -> float:
-    """A number of a file, where NaN is null."""
+    """Return a number read from a file, in which null stands for NaN."""
     return float("nan") if raw is None else float(raw)
 
 
@@ -244,11 +267,11 @@ def _array(raw: Any) -> FloatArray:
 
 def _one_of(words: tuple[str, ...], raw: Any) -> Any:
     if raw not in words:
-        raise ValueError(f"{raw!r:.40} is none of {', '.join(words)}")
+        raise ValueError(f"{raw!r:.40} must be one of {', '.join(words)}")
     return raw
 
 
-# How each field is read, class by class; what a file has besides is for a newer hil.
+# Converters per class and field. Unknown fields, written by a newer hil, are ignored.
 _NUMBERS = _each(_number)
 _LOOK: Readers = {
     **dict.fromkeys(("colour", "dash", "symbol", "pattern"), str),

@@ -1,7 +1,8 @@
-"""What a study of inverse dynamics fits to and judges on, and the noise its errors stand beside.
+"""Training and test data of the inverse-dynamics study, and reference errors that require no model.
 
-A `Case` is one protocol with one seed, the same for every method. Beside every error stand two that
-need no model: the noise that the filter leaves in the torque, and repeating the last torque.
+A `Case` contains the data of one protocol with one random seed; all methods use the same cases. The
+tables compare every error with two reference errors: the noise that the filter leaves in the
+torque, and the error of repeating the last torque (persistence).
 """
 
 from __future__ import annotations
@@ -45,12 +46,13 @@ from hil.studies.dynamic_methods import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
-    """A run as the study sees it.
+    """Trajectories of a run, separated by the payload of the arm.
 
     Attributes:
-        bare: Trajectories under the first load, which is all that anything is fitted to.
-        loaded: The same motions under the other loads, filtered alike; None without.
-        notes: What is not as in the paper.
+        bare: Trajectories with the first payload; all models are fitted to these trajectories only.
+        loaded: The same motions with the other payloads, filtered like `bare`; None if the run has
+            no other payloads.
+        notes: Texts that describe differences from the data of the paper.
     """
 
     bare: Trajectories
@@ -59,11 +61,12 @@ class Recorded:
 
 
 def recorded(whole: Dataset, robot: RobotModel, cutoff_hz: float, rate_hz: float) -> Recorded:
-    """The trajectories of a run, apart by load, filtered at their own rate.
+    """Return the trajectories of a run, separated by payload and filtered at the recorded rate.
 
     Raises:
-        FitError: There are too few trajectories under the first load, or the robot is another.
-        DataError: The cut-off is too high for the recorded rate, or for the samples kept.
+        FitError: There are too few trajectories with the first payload, or the data are from a
+            different robot.
+        DataError: The cut-off frequency is too high for the recorded or the downsampled rate.
     """
     data = whole.of_kind("trajectory")
     first = min((condition.load for condition in data.conditions), default=0)
@@ -78,23 +81,24 @@ def recorded(whole: Dataset, robot: RobotModel, cutoff_hz: float, rate_hz: float
 
 
 def load_names(data: Dataset) -> dict[int, str]:
-    """Name of every load by its number, such as `3 kg`."""
+    """Return the display name of every payload by its number, for example `3 kg`."""
     return {c.load: f"{c.payload.mass:.4g} kg" for c in data.conditions}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """One protocol with one seed: the same for every method.
+    """Data of one protocol with one random seed, equal for every method.
 
     Attributes:
-        protocol: `honest` or `paper`.
-        seed: Of the draw, and of every network.
-        learn: Handed to every estimator: all that is not judged, or everything with the column
-            `PART` that says so row by row.
-        judge: Whole motions, so that what remembers can be carried along.
-        rows: (N,) which of their rows are judged.
-        loaded: The judged motions under other loads; None without.
-        filters: As all of it was filtered, and how fits leave rows out.
+        protocol: Name of the protocol, `honest` or `paper`.
+        seed: Random seed of the split and of every network.
+        learn: Training data passed to every estimator. Under the `honest` protocol, the training
+            data exclude the test data. Under the `paper` protocol, the training data are all data,
+            and the column `PART` marks the part of the split that each row belongs to.
+        judge: Test data as whole motions, because models with memory need the complete path.
+        rows: (N,) mask of the rows of `judge` on which the models are tested.
+        loaded: Test motions with other payloads; None if the run has no other payloads.
+        filters: Filter settings of all data, and downsampling settings of the fits.
         scale: (n,) torque per unit of effort.
     """
 
@@ -108,10 +112,10 @@ class Case:
     scale: FloatArray
 
     def require_honest(self) -> None:
-        """Refuse a case whose judged rows can be learned from.
+        """Raise if an estimator could use test rows for training.
 
         Raises:
-            DataError: Judged rows are among those to learn from.
+            DataError: Some test rows are among the training rows.
         """
         if self.protocol == "honest":
             assert_disjoint(self.learn, self.judge)
@@ -119,13 +123,13 @@ class Case:
                 assert_disjoint(self.learn, self.loaded)
         elif not np.array_equal(self.rows, self.judge[PART] == TEST):
             raise DataError(
-                "rows are judged that were learned from",
-                hint=f"judge where the column {PART!r} is {TEST:.0f}",
+                "test rows are among the training rows",
+                hint=f"evaluate only rows whose column {PART!r} is {TEST:.0f}",
             )
 
 
 def honest_case(of: Recorded, seed: int) -> Case:
-    """Three of twelve whole trajectories are judged, and nothing else of them is seen."""
+    """Return a `Case` that holds out three of twelve whole trajectories for testing."""
     outer = held_out(of.bare, seed)
     held = set(outer.held_out)
     rows = np.ones(len(outer.test), dtype=bool)
@@ -134,7 +138,7 @@ def honest_case(of: Recorded, seed: int) -> Case:
 
 
 def paper_case(of: Recorded, seed: int) -> Case:
-    """60/20/20 % of the recorded samples, drawn one by one along whole motions."""
+    """Return a case that splits the recorded samples at random, 60/20/20 %."""
     data = of.bare.data
     drawn = np.random.default_rng(seed).choice((TRAINING, VALIDATION, TEST), len(data), p=SHARES)
     parted = with_part(data, drawn)
@@ -142,7 +146,7 @@ def paper_case(of: Recorded, seed: int) -> Case:
 
 
 CASES: Mapping[str, Callable[[Recorded, int], Case]] = {"paper": paper_case, "honest": honest_case}
-"""By protocol."""
+"""Functions that create a `Case`, by name of the protocol."""
 
 
 def _case(
@@ -160,7 +164,7 @@ def _of_groups(data: Dataset, wanted: set[Group]) -> Dataset | None:
 
 
 def forgotten(data: Dataset) -> Dataset:
-    """The same recordings with nobody told about the load."""
+    """Return the same recordings without information about the payload."""
     bare = (
         replace(condition, payload=Payload(), payload_identified=None)
         for condition in data.conditions
@@ -171,17 +175,22 @@ def forgotten(data: Dataset) -> Dataset:
 FREQUENCIES = 1 << 14
 
 WIDEST = 0.5
-"""Of the band: a cut-off above leaves too little beside it to tell noise from signal."""
+"""Maximum cut-off frequency as a share of the Nyquist frequency.
+
+If the cut-off frequency is higher than this share, the removed frequency band is too narrow to
+estimate the noise.
+"""
 
 
 def white_noise_left(removed: FloatArray, case: Case) -> FloatArray:
-    """(n,) RMS of the noise in the filtered torque, if white noise was filtered.
+    """Return the (n,) RMS of the noise in the filtered torque, assuming white measurement noise.
 
-    NaN where the cut-off leaves less than half of the band above it: signal is then most of that.
+    The noise is NaN if the cut-off frequency exceeds half of the Nyquist frequency (`WIDEST`),
+    because the removed part then consists mostly of signal.
 
     Args:
-        removed: (n,) RMS of what the filter took out.
-        case: Says how it filtered.
+        removed: (n,) RMS of the part of the torque that the filter removes.
+        case: Case with the filter settings and the sample rate.
     """
     rate = sample_rate(case.judge["t"][: case.judge.offsets[1]])
     settings = case.filters
@@ -189,7 +198,7 @@ def white_noise_left(removed: FloatArray, case: Case) -> FloatArray:
     if fraction > WIDEST:
         return np.full_like(removed, np.nan)
     b, a = butter(settings.order, fraction)
-    # Forwards and backwards: the gain is the square of one pass's magnitude.
+    # The filter runs forwards and backwards, so its gain is the squared magnitude of one pass.
     gain = np.abs(freqz(b, a, FREQUENCIES)[1]) ** 2
     share = np.sqrt(np.mean(gain**2) / np.mean((1.0 - gain) ** 2))
     return np.asarray(share * removed)
@@ -197,11 +206,12 @@ def white_noise_left(removed: FloatArray, case: Case) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
-    """Torque of a moment ago, repeated.
+    """Error of predicting the torque by an earlier measurement of the torque (persistence).
 
     Attributes:
-        age_s: How old it mostly is: samples come when they come.
-        error: (n,) what that leaves [N·m].
+        age_s: Median age of the earlier measurement [s]; the age varies because the samples are not
+            exactly equidistant.
+        error: (n,) RMSE of predicting the torque by the earlier measurement [N·m].
     """
 
     age_s: float
@@ -209,7 +219,10 @@ class Held:
 
 
 def persistence_of(case: Case, latency_s: float) -> Held:
-    """What taking the newest filtered torque that is `latency_s` old for that of now comes to."""
+    """Return the error of predicting each torque by a torque that is `latency_s` [s] older.
+
+    The predicted torque is the newest filtered torque whose age is at least `latency_s`.
+    """
     error = persistence_rmse(case.judge, latency_s, "effort_f", case.rows)
     age = case.judge["t"] - persistence(case.judge, latency_s, "t")
     return Held(float(np.nanmedian(age[case.rows])), error * case.scale)

@@ -1,7 +1,9 @@
-"""Table II of the PINN paper from one run: Methods 1 to 6, Proposed, its corrections, and ours.
+"""Study of inverse dynamics: Table II of the PINN paper, and further methods, from one run.
 
-Everything is computed twice, with samples drawn at random from within the trajectories as the
-paper does, and with whole trajectories held out (docs/explanation/inverse-dynamics.md).
+The table contains Methods 1 to 6 of the PINN paper, the method called Proposed, corrections of this
+method, and the methods of this project. All results are computed under two protocols, `paper` and
+`honest`. The `paper` protocol draws the test samples at random from within the trajectories; the
+`honest` protocol holds out whole trajectories (docs/explanation/inverse-dynamics.md).
 """
 
 from __future__ import annotations
@@ -33,57 +35,66 @@ class InverseDynamics(Study):
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
 
     protocols: list[str] = parameter(
-        tuple(CASES), subset, tuple(CASES), doc="`paper`, `honest` or both."
+        tuple(CASES), subset, tuple(CASES), doc="Protocols: `paper`, `honest` or both."
     )
     methods: list[str] = parameter(
-        DEFAULT_KEYS, subset, ROW_KEYS, doc="Keys of `hil.studies.inverse_methods.ROWS`."
+        DEFAULT_KEYS,
+        subset,
+        ROW_KEYS,
+        doc="Compared methods: keys of `hil.studies.inverse_methods.ROWS`.",
     )
     seeds: int = parameter(
         3, whole, at_least=1, at_most=1000,
-        doc="How often each split is drawn and every network trained.",
+        doc="Number of random splits per protocol, and of trainings of each network.",
     )  # fmt: skip
     seed: int = parameter(
-        0, whole, at_least=0, at_most=MOST_SEED - 1000, doc="The first; the others follow."
-    )
+        0, whole, at_least=0, at_most=MOST_SEED - 1000,
+        doc="First random seed; the next splits and trainings use the next seeds.",
+    )  # fmt: skip
     effort: float = parameter(
         1.0, number, above=0.0, at_most=1000.0,
-        doc="Share of the usual epochs that networks are trained for; below 1 to try out.",
+        doc="Number of epochs of the networks relative to the default; below 1 for quick trials.",
     )  # fmt: skip
     cutoff_hz: float = parameter(
-        50.0, number, above=0.0, doc="Of the zero-phase Butterworth filter of order 5."
-    )
+        50.0, number, above=0.0,
+        doc="Cut-off frequency [Hz] of the zero-phase Butterworth filter of order 5.",
+    )  # fmt: skip
     rate_hz: float = parameter(
         125.0, number, above=0.0,
-        doc="Samples a fit keeps per second after filtering; residual networks keep all.",
+        doc="Sample rate [Hz] of the fits, after filtering; residual networks use all samples.",
     )  # fmt: skip
     sign_width: float = parameter(
         0.01, number, at_least=0.0,
-        doc="Of the smooth sign [rad/s], the same for every memoryless method.",
+        doc="Width of the smooth sign function [rad/s], the same for every memoryless method.",
     )  # fmt: skip
-    figures: bool = parameter(True, flag, doc="Whether to draw any.")
+    figures: bool = parameter(True, flag, doc="Whether to draw figures.")
     jobs: int | None = parameter(
         None, whole, at_least=1, at_most=4096, optional=True,
-        doc="Processes; None: as many as there are cores. The result does not depend on it.",
+        doc="Number of processes; None: number of cores. The result does not depend on it.",
     )  # fmt: skip
     dask: str | None = parameter(
         None, checked_address,
-        doc="Address of a Dask scheduler whose workers compute in their place.",
+        doc="Address of a Dask scheduler whose workers compute instead of local processes.",
     )  # fmt: skip
 
     def extras(self) -> dict[str, str]:
-        """What the estimators of its rows need: a table without them is not what was asked for."""
+        """Return the optional dependencies (extras) of the estimators in the selected table rows.
+
+        A study is rejected if an extra is missing, because its table of results would be
+        incomplete.
+        """
         return extras_of(self.methods)
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what it cannot do without: three trajectories, and drive gains."""
+        """Return the required data: at least three trajectories, and drive gains."""
         return NEEDS
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
-        """Tables, figures and words of both protocols.
+        """Return tables, figures and texts of the selected protocols.
 
         Raises:
-            FitError: There are too few trajectories, or no method can be fitted.
-            DataError: The data cannot be filtered as asked.
+            FitError: There are too few trajectories, or none of the methods can be fitted.
+            DataError: The data cannot be filtered with the selected cut-off frequency.
         """
         of = recorded(dataset, robot, self.cutoff_hz, self.rate_hz)
         absent = {key: name for key in self.methods if (name := missing(ROWS[key]))}
@@ -98,7 +109,7 @@ class InverseDynamics(Study):
             for root, keys in known.items()
             for case in draws
         ]
-        # Before the fits, which take hours: nothing may fail after them.
+        # Computed first, because a failure after the fits would waste hours.
         seen = {name: [Seen.of(case) for case in draws] for name, draws in cases.items()}
         with cluster(self.dask) as executor:
             results = iter(run_tasks(tasks, self.jobs or cores(), "fits", progress, executor))
@@ -175,31 +186,31 @@ def _partly(found: Sequence[Found]) -> Iterator[str]:
             least = min(score.known for score in scores)
             if least < 0.999:
                 yield (
-                    f"{one.words(key)}, {one.protocol}: judged on {100 * least:.1f} % of the "
-                    "samples, where it says something"
+                    f"{one.words(key)}, {one.protocol}: evaluated only on the {100 * least:.1f} % "
+                    "of the samples for which it is valid"
                 )
 
 
 def _listed(failed: Mapping[str, Sequence[str]]) -> str:
-    """Rows, and the protocols under which each failed."""
+    """Return the failed table rows, each with the protocols under which the row failed."""
     return "; ".join(f"{row}, {' and '.join(protocols)}" for row, protocols in failed.items())
 
 
 def _failures(found: Sequence[Found]) -> list[str]:
-    """Notes about methods that failed, one for each reason.
+    """Return notes about the methods that failed, one note per reason.
 
     Raises:
-        FitError: None is left.
+        FitError: All methods of the study failed.
     """
     rows: dict[str, dict[str, list[str]]] = {}
     for one in found:
         for key, reason in one.failed.items():
             row = f"{one.words(key)} ({ROWS[key].estimator})"
             rows.setdefault(reason, {}).setdefault(row, []).append(one.protocol)
-    notes = [f"{_listed(failed)}: left out, {reason}" for reason, failed in rows.items()]
+    notes = [f"{_listed(failed)}: omitted, {reason}" for reason, failed in rows.items()]
     if not any(one.scores for one in found):
         raise FitError(
             f"no method could be fitted: {next(iter(notes), 'none is installed')}",
-            hint="see the reasons of the others on the page; hil doctor tells what is missing",
+            hint="the page lists the other reasons; hil doctor lists missing packages",
         )
     return notes

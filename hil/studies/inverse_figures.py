@@ -1,4 +1,4 @@
-"""Figures of a study of inverse dynamics: those of the PINN paper's section IV."""
+"""Figures of the inverse-dynamics study, corresponding to section IV of the PINN paper."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from hil.studies.inverse_tables import carried, under
 from hil.studies.result import joint_titles
 
 OVER_TIME = ("irls", "proposed", "rc-motion", "ours", "ours-residual")
-"""Rows drawn beside the measured torque, as far as they are there; more hide each other."""
+"""Table rows drawn beside the measured torque if available; with more rows, the curves would hide
+each other.
+"""
 
 FRICTION = ("proposed", "delan-coulomb", "ours")
 
@@ -21,16 +23,20 @@ BARS = (
     "irls", "delan-dissipative", "delan-coulomb", "proposed", "rc-paper", "rc-motion", "rc-grouped",
     "ours-residual",
 )  # fmt: skip
-"""As many as there are colours; Method 4 would flatten the others. Tables have them all."""
+"""Table rows shown in the bar chart; their number is limited by the number of colours.
+
+Method 4 is omitted from the bar chart because its errors would dominate the scale. The tables,
+unlike the bar chart, contain all rows.
+"""
 
 CORRECTED = ("rc-paper", "rc-motion", "rc-grouped")
 
 MOST_EPOCHS = 150
-"""Points of a learning curve; longer ones are thinned."""
+"""Maximum number of points of a learning curve; curves with more points are thinned out."""
 
 
 def torques(found: Found, key: str) -> Figure:
-    """Fig. 4: measured and predicted torque over the first judged trajectory."""
+    """Return Fig. 4: measured and predicted torque over the first test trajectory."""
     seen, chosen = found.seen[0], _some(OVER_TIME, found.scores)
     panels = []
     for j, title in enumerate(joint_titles(found.n)):
@@ -40,7 +46,7 @@ def torques(found: Found, key: str) -> Figure:
             for name in chosen
         ]
         panels.append(Panel(title, "time [s]", "torque [N·m]", tuple(curves)))
-    caption = "Filtered torque of the first judged trajectory, first seed (Fig. 4 of the paper)."
+    caption = "Filtered torque of the first test trajectory, first seed (Fig. 4 of the paper)."
     return Figure(key, "Measured and predicted joint torques", caption, tuple(panels), 2)
 
 
@@ -57,7 +63,11 @@ def _floats(values: FloatArray) -> tuple[float, ...]:
 
 
 def friction(found: Found, key: str) -> Figure | None:
-    """Fig. 5: what is left without the rigid body, against velocity, and the friction learned."""
+    """Return Fig. 5: measured and learned friction over velocity.
+
+    The measured friction is the torque minus the rigid-body torque of the first drawn model. None
+    is returned if no model separates friction from the rigid-body torque.
+    """
     chosen = [n for n in _some(FRICTION, found.scores) if len(_shown(found, n).friction)]
     if not chosen:
         return None
@@ -65,14 +75,14 @@ def friction(found: Found, key: str) -> Figure | None:
     panels = []
     for j, title in enumerate(joint_titles(found.n)):
         speed, left = seen.speeds[:, j], seen.cloud[:, j] - first.rigid[:, j]
-        curves = [_line("measured without the rigid body", speed, left, points=True)]
+        curves = [_line("measured minus rigid body", speed, left, points=True)]
         for name in chosen:
             values = _shown(found, name).friction[:, j]
             curves.append(_line(found.words(name), speed, values, points=True))
         panels.append(Panel(title, "velocity [rad/s]", "friction [N·m]", tuple(curves)))
     caption = (
-        f"Judged samples, first seed (Fig. 5 of the paper). The rigid body is that of "
-        f"“{found.words(chosen[0])}”; a constant may be part of friction or of gravity."
+        f"Test samples, first seed (Fig. 5 of the paper). The rigid-body torque is from the model "
+        f"“{found.words(chosen[0])}”; a constant can belong to friction or to gravity."
     )
     return Figure(key, "Friction against velocity", caption, tuple(panels), 2)
 
@@ -82,7 +92,7 @@ def _shown(found: Found, name: str) -> Shown:
 
 
 def residuals(found: Found, key: str) -> Figure | None:
-    """Fig. 6: low and high frequencies of the residual, and what a correction makes of them."""
+    """Return Fig. 6: low- and high-frequency residual, and the output of the corrections."""
     chosen = [name for name in _some(CORRECTED, found.scores) if len(_shown(found, name).residual)]
     if not chosen:
         return None
@@ -90,19 +100,19 @@ def residuals(found: Found, key: str) -> Figure | None:
     panels = []
     for j, title in enumerate(joint_titles(found.n)):
         for band, words in enumerate(("low", "high")):
-            curves = [_line("left by Proposed", seen.t, left[band, :, j])]
+            curves = [_line("residual of Proposed", seen.t, left[band, :, j])]
             curves += [
                 _line(found.words(name), seen.t, _shown(found, name).residual[band, :, j])
                 for name in chosen
             ]
             heading = f"{title}, {words} frequency"
             panels.append(Panel(heading, "time [s]", "torque [N·m]", tuple(curves)))
-    caption = "First judged trajectory, first seed (Fig. 6 of the paper)."
-    return Figure(key, "Residual, and its compensation", caption, tuple(panels), 2)
+    caption = "First test trajectory, first seed (Fig. 6 of the paper)."
+    return Figure(key, "Residual and its compensation", caption, tuple(panels), 2)
 
 
 def bars(found: Found, key: str) -> Figure:
-    """Fig. 7: RMSE and MEP per joint."""
+    """Return Fig. 7: RMSE and largest relative error (MEP) per joint."""
     panels = []
     joints = joint_titles(found.n)
     for measure, title in (("filtered", "RMSE [N·m]"), ("percent", "MEP [%]")):
@@ -119,7 +129,7 @@ def bars(found: Found, key: str) -> Figure:
 
 
 def loads(found: Found) -> Figure | None:
-    """Fig. 8: mean error by load, nobody told and told."""
+    """Return Fig. 8: mean error by payload, for models with and without payload information."""
     known = carried(found)
     if not known:
         return None
@@ -132,12 +142,15 @@ def loads(found: Found) -> Figure | None:
             for key in _some(BARS, found.scores)
         ]  # fmt: skip
         panels.append(Panel(f"Load {told}", "load", "RMSE [N·m]", tuple(curves)))
-    caption = "Mean over the joints on held-out motions; nothing was trained with a load (Fig. 8)."
+    caption = (
+        "Mean over the joints on held-out motions; no model was trained with a load (Fig. 8 of the "
+        "paper)."
+    )
     return Figure("fig-loads", "Errors under loads", caption, tuple(panels), 1)
 
 
 def learning(found: Found, key: str) -> Figure | None:
-    """Losses and validation errors of every network over its epochs, first seed."""
+    """Return losses and validation errors of every network over its epochs, for the first seed."""
     panels = []
     for name, scores in found.scores.items():
         told = scores[0].curves

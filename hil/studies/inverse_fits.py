@@ -1,14 +1,16 @@
-"""Fits of a study of inverse dynamics, what each of them comes to, and the ranking of methods.
+"""Fits of the inverse-dynamics study, the evaluation of each fit, and the ranking of the methods.
 
-`family_task` fits a model and whatever corrects it, in one task, so that the model is fitted once.
-`judged` reduces a fitted model to what tables and figures need, small enough to be sent back from
-another process. `Found` holds that of every row and seed under one protocol.
+`family_task` fits a model and its correction networks in one task, so that the model is fitted only
+once. `judged` reduces a fitted model to the values that the tables and figures need; these values
+are small enough to be sent back from another process. `Found` contains these reduced values for
+every table row and every seed under one protocol.
 
-Two methods are put in order only if they are `apart`. Draws of the split and of the networks are
-paired: both methods have the same ones. Two methods of equal error, with differences that are
-normal and independent from draw to draw, would be ranked all the same in 21 % of all studies with
-two draws, in 7.4 % with three and in 1.1 % with five (Student's t with one degree of freedom less,
-beyond `APART`·√draws).
+Two methods are ranked only if the function `apart` returns true. The random splits and networks are
+paired: both methods use the same seeds. Assume that two methods have equal errors, and that their
+differences are normally distributed and independent between the draws. The two methods are
+nevertheless ranked in 21 % of all studies with two draws, in 7.4 % with three draws and in 1.1 %
+with five draws. The three rates of wrong rankings (21 %, 7.4 %, 1.1 %) follow from Student's t
+distribution with (draws − 1) degrees of freedom and the limit `APART`·√draws.
 """
 
 from __future__ import annotations
@@ -32,13 +34,16 @@ from hil.studies.inverse_methods import LATENCY_S, PREVIOUS_S, ROWS, unfitted
 from hil.studies.tasks import Task
 
 COSTS = {"lagrangian": 10.0, "rigid-hysteresis": 8.0, "residual": 8.0, "rigid-irls": 2.0}
-"""How long fits take compared with the others: the longest begin first."""
+"""Fit duration of each estimator relative to the other estimators; the longest fits start first."""
 
 
 def family_task(
     root: str, keys: Sequence[str], case: Case, robot: RobotModel, sign_width: float, effort: float
 ) -> Task:
-    """Fit the model `root` and whatever corrects it; the result is a `Judged` by key of `keys`."""
+    """Return a task that fits the model `root` and its corrections.
+
+    The result of the task is a dictionary with one `Judged` for each key in `keys`.
+    """
     cost = sum(COSTS.get(ROWS[key].estimator, 1.0) for key in {root, *keys})
     name = f"{ROWS[root].estimator} ({', '.join(keys)}), {case.protocol}, seed {case.seed}"
     run = partial(fit_family, root, tuple(keys), case, robot, sign_width, effort)
@@ -46,7 +51,7 @@ def family_task(
 
 
 def _what_failed(found: Mapping[str, Judged]) -> str:
-    """What of a family failed, as `Ended` tells it."""
+    """Return a text about the failed rows of a family for a progress report (`Ended.failed`)."""
     failed = [key for key, one in found.items() if one.failed]
     if len(failed) == len(found):
         return "failed"
@@ -56,10 +61,12 @@ def _what_failed(found: Mapping[str, Judged]) -> str:
 def fit_family(
     root: str, keys: Sequence[str], case: Case, robot: RobotModel, sign_width: float, effort: float
 ) -> dict[str, Judged]:
-    """As `family_task` says; a failure is told, not raised, except that of a dishonest case.
+    """Fit and evaluate the model `root` and its corrections, as described in `family_task`.
+
+    An error of a fit is returned in `Judged.failed` instead of being raised.
 
     Raises:
-        DataError: Judged rows are among those to learn from.
+        DataError: Some test rows are among the training rows.
     """
     case.require_honest()
 
@@ -75,19 +82,22 @@ def fit_family(
 New = Callable[[str], RobotEstimator]
 
 Fitted = tuple[str, RobotEstimator | None, float, str]
-"""Key of a row, its model or None, CPU seconds with those of the model it corrects, and why."""
+"""Tuple of row key, model or None, CPU time [s], and reason of a failure.
+
+The CPU time of a correction includes the fit of the corrected model.
+"""
 
 
 def fitted_family(
     root: str, keys: Sequence[str], new: New, learn: Dataset, robot: RobotModel
 ) -> Iterator[Fitted]:
-    """The model `root`, and whatever corrects it; a failure is told, not raised.
+    """Yield the model `root` and its corrections; a failed fit is yielded as text, not raised.
 
     Args:
-        root: Key of `ROWS` with a model of its own.
-        keys: Wanted, of those that need it.
-        new: Makes an unfitted estimator by its key.
-        learn: To fit to.
+        root: Key of a row in `ROWS` that does not correct another row.
+        keys: Keys of the requested rows: the row `root` itself or corrections of the model `root`.
+        new: Function that returns an unfitted estimator for a row key.
+        learn: Training data.
         robot: Model of the arm.
     """
     base, seconds, failed = _timed(lambda: new(root).fit(learn, robot))
@@ -113,48 +123,54 @@ def _judged(model: RobotEstimator, case: Case, robot: RobotModel, seconds: float
 
 
 def _timed(fit: Callable[[], RobotEstimator]) -> tuple[RobotEstimator | None, float, str]:
-    """What is fitted or None, CPU seconds, and why there is nothing."""
+    """Return the fitted model or None, the CPU time of the fit [s], and the reason of a failure."""
     begin = time.process_time()
     model, failed = _tried(fit)
     return model, time.process_time() - begin, failed
 
 
 def _tried(make: Callable[[], Any]) -> tuple[Any, str]:
-    """What is made, or None and why."""
+    """Return the result of a function and an empty text; or None and the error message."""
     try:
         return make(), ""
     except HilError as error:
         return None, error.message
-    # Estimators are plug-ins: one that breaks down must not cost what the others took.
+    # Estimators are plug-ins: an unexpected error of one must not discard the results of others.
     except Exception as error:
-        return None, f"it broke down: {type(error).__name__}: {error}"
+        return None, f"it failed with {type(error).__name__}: {error}"
 
 
 CLOUD = 400
-"""Judged samples whose friction a figure shows, spread evenly over all of them."""
+"""Number of test samples in the friction figure, evenly spaced over all test samples."""
 
 F_CUT_HZ = 2.0
-"""Between low and high frequency of a residual, where the model does not say (eq. 24)."""
+"""Default frequency [Hz] that separates low and high frequencies of a residual (eq. 24)."""
 
 ORDER = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """One fit of one row, per joint in N·m; NaN where there is nothing to judge.
+    """Evaluation of one fit of one table row, per joint [N·m]; NaN if a joint has no test samples.
 
     Attributes:
-        filtered, raw: (n,) RMSE against the filtered and the measured effort.
-        moving: (n,) RMSE against the filtered one in motion.
-        percent: (n,) largest error over largest torque (MEP).
-        within: (n,) share [%] of measured torques within 1.645 standard deviations of the model.
-        known: Share of the judged rows that the model predicts.
-        seconds: CPU time of the fit, with that of the model it corrects.
-        aware, unaware: By number of the load, (n,) RMSE with the load known and forgotten.
-        curves: By name, (epochs,) losses of a training.
-        decided: (n,) of a residual network: per joint the error without → with it on rows it was
-            not fitted to, by how much that is more, and whether it was dropped.
-        failed: Why there is nothing else.
+        filtered, raw: (n,) RMSE relative to the filtered effort and to the unfiltered measured
+            effort.
+        moving: (n,) RMSE relative to the filtered effort in samples with a moving joint.
+        percent: (n,) largest error divided by the largest torque (MEP) [%].
+        within: (n,) share [%] of the measured torques that differ from the prediction by at most
+            1.645 standard deviations predicted by the model.
+        known: Share of the test rows for which the model makes a prediction.
+        seconds: CPU time of the fit [s]; for a correction, including the fit of the corrected
+            model.
+        aware, unaware: (n,) RMSE by payload number, for the model with and without payload
+            information.
+        curves: (epochs,) training loss and validation error, by name.
+        decided: (n,) texts about the decision to keep or to drop a residual network. Each text
+            contains the errors without and with the network on rows outside its training data, the
+            relative change, and whether the network was dropped.
+        shown: Values that the figures show.
+        failed: Reason why the fit failed; empty if the fit succeeded.
     """
 
     filtered: FloatArray
@@ -174,13 +190,16 @@ class Judged:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """What figures show, in N·m.
+    """Values of one fit for the figures [N·m].
 
     Attributes:
-        torque: (rows, n) on the first judged trajectory.
-        friction, rigid: (cloud, n) over all judged samples; empty without friction of its own.
-        residual: (2, rows, n) low and high frequency of the correction; empty without one.
-        left: (2, rows, n) of what the model without the correction leaves.
+        torque: (rows, n) predicted torque on the first test trajectory.
+        friction, rigid: (cloud, n) friction and rigid-body torque over all test samples; empty if
+            the model has no separate friction.
+        residual: (2, rows, n) low-frequency and high-frequency part of the correction; empty
+            without a correction.
+        left: (2, rows, n) low-frequency and high-frequency part of the residual of the model
+            without correction.
     """
 
     torque: FloatArray
@@ -191,10 +210,10 @@ class Shown:
 
 
 def judged(model: RobotEstimator, case: Case, seconds: float) -> Judged:
-    """How a fitted model does.
+    """Return the errors and the figure values of a fitted model.
 
     Raises:
-        DataError: It cannot predict these data.
+        DataError: The model cannot be applied to the test data.
     """
     data, scale = case.judge, case.scale
     predicted = model.predict(data)
@@ -218,7 +237,7 @@ def judged(model: RobotEstimator, case: Case, seconds: float) -> Judged:
 
 
 def _told(predicted: Prediction) -> FloatArray:
-    """(N, n) effort; NaN where the model does not vouch for it."""
+    """Return the (N, n) predicted effort, with NaN in rows that the model marks as invalid."""
     return np.where(predicted.valid, predicted.effort, np.nan)
 
 
@@ -280,7 +299,10 @@ def _shown(predicted: Prediction, torque: FloatArray, case: Case) -> Shown:
 
 
 def _low_and_high(values: FloatArray, case: Case, rows: IntArray) -> FloatArray:
-    """(2, rows, n) of a signal (N, n) on the first trajectory, below and above `F_CUT_HZ`."""
+    """Return the (2, rows, n) parts of a signal (N, n) below and above `F_CUT_HZ`.
+
+    Only rows of the first test trajectory are returned.
+    """
     end = int(case.judge.offsets[1])
     first = np.nan_to_num(values[:end])
     fraction = nyquist_fraction(F_CUT_HZ, "hz", sample_rate(case.judge["t"][:end]))
@@ -289,36 +311,42 @@ def _low_and_high(values: FloatArray, case: Case, rows: IntArray) -> FloatArray:
 
 
 def nothing(n: int, failed: str) -> Judged:
-    """Of a fit that failed."""
+    """Return the `Judged` of a fit that failed, without any errors."""
     empty = np.full(n, np.nan)
     return Judged(empty, empty, empty, empty, empty, failed=failed)
 
 
 def shown_rows(case: Case) -> IntArray:
-    """Numbers of the rows that figures over time show: of the first judged trajectory."""
+    """Return the row numbers of the first test trajectory that are shown in figures over time."""
     return evenly(np.flatnonzero(case.rows[: case.judge.offsets[1]]), SHOWN)
 
 
 def cloud_rows(case: Case) -> IntArray:
-    """Numbers of the rows whose friction figures show."""
+    """Return the numbers of the test rows that the friction figure shows."""
     return evenly(np.flatnonzero(case.rows), CLOUD)
 
 
 def evenly(numbers: IntArray, most: int) -> IntArray:
-    """At most so many of the numbers, the first and the last among them."""
+    """Return at most `most` evenly spaced row numbers, including the first and the last row."""
     ends = np.linspace(0, len(numbers) - 1, min(most, len(numbers)))
     return np.asarray(numbers[np.unique(ends.astype(np.int64))])
 
 
 APART = 2.0
-"""Standard deviations over the seeds by which paired errors must differ for a ranking."""
+"""Minimum mean of the paired error differences for a ranking, in standard deviations over the
+seeds.
+"""
 
 FEWEST_SEEDS = 3
-"""Fewer draws rank nothing."""
+"""Minimum number of random seeds for a ranking of two methods."""
 
 
 def apart(found: Found, a: str, b: str) -> bool:
-    """Whether a and b differ by more than two seed-σ of their paired differences."""
+    """Return whether the errors of the rows a and b differ significantly.
+
+    The mean of the paired error differences of the two rows must exceed two standard deviations
+    over the seeds (`APART`).
+    """
     difference = found.by_seed(a) - found.by_seed(b)
     if len(difference) < FEWEST_SEEDS:
         return False
@@ -326,46 +354,50 @@ def apart(found: Found, a: str, b: str) -> bool:
 
 
 def doubt(found: Found) -> str:
-    """Why what is not apart is not told apart."""
+    """Return the reason why two table rows cannot be ranked."""
     seeds = len(found.seen)
     if seeds >= FEWEST_SEEDS:
-        return "they differ by less than two seed-σ"
-    return "one draw ranks nothing" if seeds == 1 else f"{seeds} draws rank nothing"
+        return "they differ by less than two standard deviations over the seeds"
+    return f"a ranking requires {FEWEST_SEEDS} seeds, this study has {seeds}"
 
 
 def beside(found: Found, key: str, reference: str, name: str) -> str:
-    """How much less key leaves than the reference, and whether that can be told from chance.
+    """Return a text that states how much lower the error of a row is than that of a reference row.
+
+    If the difference of the two errors is not significant, the text also states this fact.
 
     Args:
-        found: What came of a protocol.
-        key: Of a row.
-        reference: Of another one.
-        name: Of the reference, for people.
+        found: Results of a protocol.
+        key: Key of the row that is compared.
+        reference: Key of the reference row.
+        name: Display name of the reference row.
     """
     error, against = found.average(key), found.average(reference)
     if error == against:
         return f"the same as {name}"
     told = f"{_less(error, against)} than {name}"
-    return told if apart(found, key, reference) else f"{told} (not told apart: {doubt(found)})"
+    return told if apart(found, key, reference) else f"{told} (not significant: {doubt(found)})"
 
 
 def _less(error: float, reference: float) -> str:
     percent = 100 * (1 - error / reference)
-    size = f"{abs(percent):.0f} %" if abs(percent) >= 0.5 else "under half a per cent"
+    size = f"{abs(percent):.0f} %" if abs(percent) >= 0.5 else "under 0.5 %"
     return f"{size} {'less' if percent >= 0 else 'more'}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What a case has to show beside any model, in N·m.
+    """Measured values and reference errors of a case, independent of any model [N·m].
 
     Attributes:
-        t, measured: (rows,), (rows, n) of the first judged trajectory, filtered.
-        speeds, cloud: (cloud, n) velocity [rad/s] and filtered torque over all judged rows.
-        removed: (n,) RMS of what the filter takes out of the measured torque.
-        noise: (n,) RMS of the noise that it leaves, if the noise is white.
-        persistence: By latency [s], of repeating the newest torque that is so old at least.
-        rate_hz: Samples per second, as recorded: the median over the judged trajectories.
+        t, measured: (rows,) time [s] and (rows, n) filtered torque of the first test trajectory.
+        speeds, cloud: (cloud, n) velocity [rad/s] and (cloud, n) filtered torque over all test
+            rows.
+        removed: (n,) RMS of the part of the measured torque that the filter removes.
+        noise: (n,) RMS of the noise in the filtered torque, assuming white measurement noise.
+        persistence: Error of predicting each torque by the newest torque of at least a given age,
+            by age [s].
+        rate_hz: Recorded sample rate [Hz], as the median over the test trajectories.
     """
 
     t: FloatArray
@@ -379,7 +411,7 @@ class Seen:
 
     @staticmethod
     def of(case: Case) -> Seen:
-        """Of one case."""
+        """Compute the measured values and reference errors of one case."""
         data, rows, cloud = case.judge, shown_rows(case), cloud_rows(case)
         torque = data["effort_f"] * case.scale
         removed = np.sqrt(np.mean((data["effort"] - data["effort_f"])[case.rows] ** 2, axis=0))
@@ -391,21 +423,22 @@ class Seen:
             removed * case.scale,
             white_noise_left(removed * case.scale, case),
             {latency: persistence_of(case, latency) for latency in (PREVIOUS_S, LATENCY_S)},
-            # Never refused: samples may be missing in one trajectory, and this is only shown.
+            # For display only, so a trajectory with missing samples must not raise an error.
             float(np.median([rate for rate, _ in motion_rates(data)])),
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """One protocol: the same cases for every method.
+    """Results of one protocol; all methods of a protocol use the same cases.
 
     Attributes:
-        protocol: Its name.
-        scores: By key of the row, one per seed; rows that failed in any are left out.
-        failed: By key of the row, why.
-        seen: One per seed.
-        loads: Name of every load but the first by its number.
+        protocol: Name of the protocol.
+        scores: Evaluations by row key, one evaluation per seed; a row that failed for any seed is
+            omitted.
+        failed: Reasons why rows failed, by row key.
+        seen: Measured values and reference errors of the cases, one entry per seed.
+        loads: Display name of every payload except the first one, by payload number.
     """
 
     protocol: str
@@ -416,36 +449,36 @@ class Found:
 
     @property
     def n(self) -> int:
-        """Joints."""
+        """Number of joints."""
         return len(self.seen[0].noise)
 
     def words(self, key: str) -> str:
-        """What a row is called, with the latency that it has at the rate of these data."""
+        """Return the display name of a row, with its latency at the sample rate of the data."""
         return ROWS[key].words_at(self.seen[0].rate_hz)
 
     def mean(self, key: str, measure: str) -> FloatArray:
-        """(n,) mean over the seeds."""
+        """Return the (n,) mean of a measure over all seeds."""
         return np.asarray(np.mean([getattr(s, measure) for s in self.scores[key]], axis=0))
 
     def by_seed(self, key: str, measure: str = "filtered") -> FloatArray:
-        """(seeds,) mean over the joints."""
+        """Return the (seeds,) mean of a measure over all joints."""
         return np.array([float(np.mean(getattr(s, measure))) for s in self.scores[key]])
 
     def spread(self, key: str, measure: str) -> float:
-        """Standard deviation over the seeds of the mean over the joints; NaN with one seed."""
+        """Return the standard deviation over the seeds of the joint mean; NaN for a single seed."""
         means = self.by_seed(key, measure)
         return float(np.std(means, ddof=1)) if len(means) > 1 else float("nan")
 
     def average(self, key: str, measure: str = "filtered") -> float:
-        """Mean over joints and seeds."""
+        """Return the mean of a measure over all joints and all seeds."""
         return float(np.mean(self.by_seed(key, measure)))
 
     def beside(self, what: str) -> FloatArray:
-        """(seeds, n) of an attribute of `Seen` that is (n,)."""
+        """Return the values of an attribute of `Seen`, (n,) per seed, as an array (seeds, n)."""
         return np.stack([getattr(seen, what) for seen in self.seen])
 
     def persistence(self, latency_s: float) -> Held:
-        """Repeated torque, in the mean over the seeds."""
+        """Return the error of predicting a torque by an earlier torque, averaged over the seeds."""
         every = [seen.persistence[latency_s] for seen in self.seen]
         error = np.mean([one.error for one in every], axis=0)
         return Held(float(np.mean([one.age_s for one in every])), error)
@@ -457,13 +490,13 @@ def gathered(
     seen: Sequence[Seen],
     loads: Mapping[int, str],
 ) -> Found:
-    """All families of one protocol.
+    """Combine the results of all model families under one protocol.
 
     Args:
-        protocol: Its name.
-        results: Per family its rows, and what came of them, once per seed.
-        seen: One per seed.
-        loads: Names of the loads.
+        protocol: Name of the protocol.
+        results: Row keys of each model family, and the results of these rows, one per seed.
+        seen: Measured values and reference errors of the cases, one entry per seed.
+        loads: Display names of the payloads by payload number.
     """
     scores: dict[str, list[Judged]] = {}
     failed: dict[str, str] = {}

@@ -1,6 +1,6 @@
-"""The rows of the PINN paper's Table II, and ours: which estimator, on what, from which inputs.
+"""Rows of Table II of the PINN paper and of this project: estimator, parameters and inputs.
 
-A row either has a model of its own or corrects the model of another row (`families`).
+A row has its own model or corrects the model of another row (`families`).
 """
 
 from __future__ import annotations
@@ -16,33 +16,40 @@ from hil.networks import LAGRANGIAN_CHOICES, TRAINING, ResidualSettings
 from hil.studies.dynamic_methods import METHODS as CLASSICAL
 
 LATENCY_S = 0.02
-"""How old the newest torque is at least that an observer with history may see."""
+"""Minimum age [s] of the measured torque that a model with torque history may use."""
 
 PREVIOUS_S = 0.001
-"""How old torque has to be at least to be repeated beside an observer that sees that of now."""
+"""Minimum age [s] of the earlier torque in the reference error for a model that uses the current
+torque.
+"""
 
 NETWORK, RESIDUAL, OURS = "lagrangian", "residual", "rigid-hysteresis"
 
 USUAL_EPOCHS = {NETWORK: LAGRANGIAN_CHOICES["epochs"], RESIDUAL: TRAINING["epochs"]}
-"""Of the estimators that learn."""
+"""Default number of epochs by estimator, for estimators that train networks."""
 
 LITERAL = "proposed-literal"
-"""Network, friction and training as the paper prints them, but for the epochs: it prints no number
-of them, so this row has as many as the others."""
+"""Table row with network, friction and training settings as printed in the paper.
+
+The paper does not state the number of training epochs, so this row uses the same number as the
+other rows.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A way to predict joint torques.
+    """Method for predicting joint torques, a row in the tables of the study.
 
     Attributes:
-        key: In the spec.
-        words: For people; tables of data have `words_at`.
-        estimator: Name it is registered under.
-        params: Of the estimator, beside those all share.
-        on: Key of the row whose fitted model it corrects; empty for a model of its own.
-        sign: Whether the estimator has a smooth sign, whose width all share.
-        torque: What it sees of the torque it predicts: nothing, `history` or `measured`.
+        key: Key of the row in the spec.
+        words: Display name of the method; the tables of results use `words_at`.
+        estimator: Name under which the estimator is registered.
+        params: Parameters of the estimator in addition to the parameters that all rows share.
+        on: Key of the row whose fitted model is corrected; empty if the row has its own model.
+        sign: Whether the estimator uses the smoothed sign function, whose width is equal for all
+            rows.
+        torque: Whether the torque to be predicted is also an input: empty for no, `history` for
+            earlier torques, `measured` for the measured torque.
     """
 
     key: str
@@ -55,18 +62,19 @@ class Row:
 
     @property
     def learns(self) -> bool:
-        """Whether it draws numbers: a network has a seed and can be trained longer."""
+        """Whether the estimator is a network, which has a random seed and a number of epochs."""
         return self.estimator in USUAL_EPOCHS
 
     def words_at(self, rate_hz: float) -> str:
-        """Its words where samples come at this rate.
+        """Return the display name of the row at a given sample rate [Hz].
 
-        A latency is a whole number of samples, so a history ends somewhat earlier than asked for.
+        For a row with torque history, the name contains the latency: `latency_s` rounded up to a
+        whole number of samples.
         """
         if self.torque != "history":
             return self.words
         lag = ResidualSettings(inputs="history", latency_s=self.params["latency_s"]).lag(rate_hz)
-        return f"{self.words} until {1e3 * lag / rate_hz:.3g} ms before"
+        return f"{self.words} at least {1e3 * lag / rate_hz:.3g} ms old"
 
 
 def _classical_row(key: str) -> Row:
@@ -79,7 +87,11 @@ def _network_row(key: str, words: str, **params: Any) -> Row:
 
 
 def _correction_row(key: str, words: str, **params: Any) -> Row:
-    """A network on the Proposed one, kept wherever it does no harm to the rows it stops by."""
+    """Return a table row with a residual network that corrects the model of the row `proposed`.
+
+    The residual network is kept for every joint whose error on the validation rows does not
+    increase.
+    """
     torque = params["inputs"] if params["inputs"] != "motion" else ""
     kept = {**params, "margin": 0.0}
     return Row(key, words, RESIDUAL, kept, "proposed", sign=False, torque=torque)
@@ -138,19 +150,21 @@ ROWS = {
 ROW_KEYS = tuple(ROWS)
 
 DEFAULT_KEYS = tuple(key for key in ROW_KEYS if key != LITERAL)
-"""Compared unless others are asked for."""
+"""Keys of the table rows that are compared by default."""
 
 ONE_TO_SIX = (
     "wls", "lmi", "irls", "delan", "delan-unconstrained", "delan-dissipative", "delan-coulomb",
 )  # fmt: skip
-"""Methods 1 to 6."""
+"""Row keys of Methods 1 to 6."""
 
 
 def families(chosen: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """By key of a model of its own: the chosen rows that need it, it first if it is chosen.
+    """Return the keys of the selected rows, grouped by the key of the model that the rows use.
+
+    Within a family of rows, the order of the selection is preserved.
 
     Args:
-        chosen: Keys of `ROWS`.
+        chosen: Keys of the selected rows in `ROWS`.
     """
     found: dict[str, tuple[str, ...]] = {}
     for key in chosen:
@@ -160,14 +174,18 @@ def families(chosen: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def missing(row: Row) -> str:
-    """Name of an estimator that the row needs and no distribution has here; empty if all are."""
+    """Return the name of a required estimator that is not installed; empty if all are installed."""
     needed = [row.estimator, *([ROWS[row.on].estimator] if row.on else [])]
     known = plugins.names(GROUP)
     return next((name for name in needed if name not in known), "")
 
 
 def extras_of(keys: Sequence[str]) -> dict[str, str]:
-    """Extras that rows need, with these rows and those that do without (`Study.extras`)."""
+    """Return the optional dependencies (extras) of the rows, each with the reason why it is needed.
+
+    The reason lists the rows that need the extra and the rows that do not need it (see
+    `Study.extras`).
+    """
     needing: dict[str, list[str]] = {}
     for key in (key for key in keys if not missing(ROWS[key])):
         rows = [ROWS[one] for one in (key, ROWS[key].on) if one]
@@ -185,17 +203,18 @@ def _for_rows(needing: Sequence[str], keys: Sequence[str]) -> str:
 def unfitted(
     row: Row, seed: int, sign_width: float, filters: FilterSettings, effort: float
 ) -> RobotEstimator:
-    """The row's estimator with what all share.
+    """Return an unfitted estimator for a row, with the parameters that all rows share.
 
     Args:
-        row: One of `ROWS`.
-        seed: Of a network.
-        sign_width: Of the smooth sign, the same for every estimator that has one.
-        filters: Preprocessing, the same for all.
-        effort: Share of the usual epochs that networks are trained for.
+        row: Table row, an element of `ROWS`.
+        seed: Random seed of the estimator, if it is a network.
+        sign_width: Width of the smoothed sign function [rad/s], equal for every estimator that uses
+            this function.
+        filters: Filter settings, equal for all rows.
+        effort: Factor by which the default number of epochs is multiplied.
 
     Raises:
-        PluginError, SpecError: There is no such estimator, or it takes other parameters.
+        PluginError, SpecError: The estimator does not exist, or rejects one of its parameters.
     """
     shared: dict[str, Any] = {"filters": filters}
     if row.sign:

@@ -1,8 +1,9 @@
-"""Tables and sentences of a study of inverse dynamics: who is ahead, and where that is not known.
+"""Tables and summary sentences of the inverse-dynamics study, including the ranking of methods.
 
-The tables are Table II of the PINN paper, its robot a ROKAE XB7S, and what it leaves out. The stray
-0 behind the first digit of every printed figure is taken out, as in `hil.studies.dynamic_tables`:
-with that, the mean of every row is the printed average.
+The tables contain Table II of the PINN paper, whose robot is a ROKAE XB7S, and further measures.
+The source text of the printed values has an extra 0 after the first digit of every number. The
+extra 0 is removed as in `hil.studies.dynamic_tables`. The mean of every row then equals the average
+printed in the paper.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ ANOTHER = "as printed, another robot: "
 
 MEASURES = {
     "filtered": "",
-    "raw": "RMSE against the torque as measured",
+    "raw": "RMSE relative to the unfiltered torque",
     "moving": "RMSE in motion, |qd| > 0.05 rad/s",
-    "within": "Measured torques in the 90 % band, 1.645 standard deviations to either side [%]",
+    "within": "Measured torques within the 90 % band of ± 1.645 standard deviations [%]",
 }
 
 PRINTED: dict[str, tuple[float, ...]] = {
@@ -36,7 +37,7 @@ PRINTED: dict[str, tuple[float, ...]] = {
     "proposed": (6.29, 10.73, 4.11, 1.38, 0.65, 0.63),
     "rc-paper": (3.95, 5.80, 2.91, 0.72, 0.42, 0.40),
 }
-"""By key of `hil.studies.inverse_methods`."""
+"""RMSE per joint [N·m] by row key of `inverse_methods`, as printed in the PINN paper."""
 
 PRINTED_AVERAGES: dict[str, float] = {
     **AVERAGES,
@@ -46,20 +47,26 @@ PRINTED_AVERAGES: dict[str, float] = {
     "proposed": 3.97,
     "rc-paper": 2.37,
 }
-"""As printed."""
+"""Mean RMSE [N·m] by row key, as printed in the PINN paper."""
 
 _NOTE = (
-    "Against the filtered torque; mean over the seeds, each of which draws the split and the "
-    "networks anew; SD: of the mean over the joints. CPU s: the model that is corrected included. "
-    "Repeated torque is no model: it is what torque history is worth by itself; a method that is "
-    "given the torque of the very instant would have an error of 0 by repeating it. Noise: from "
-    "what the filter takes out, which also holds signal above its cut-off. Rows of the paper are "
-    "of a ROKAE XB7S, the stray 0 taken out of its figures."
+    "Errors relative to the filtered torque; mean over the seeds, each with a new random split and "
+    "new networks. SD: standard deviation of the mean over the joints. CPU s: including the fit of "
+    "the corrected model. Repeated torque is not a model: it is the error of repeating an earlier "
+    "torque; a method that has the current torque among its inputs could reach an error of 0 by "
+    "repeating it. Noise: estimated from the signal removed by the filter, which also contains "
+    "signal above its cut-off frequency. The rows of the paper are for a different robot (ROKAE "
+    "XB7S), with the misprinted 0 removed from its figures."
 )
 
 
 def errors(found: Found, key: str, what: str) -> Table:
-    """RMSE per joint with its spread; persistence beside rows that see torque; noise last."""
+    """Return the table of the RMSE per joint, with its spread over the seeds.
+
+    The row of a model that uses measured torque is followed by a row with the error of repeating an
+    earlier torque. The last computed row of the table contains the noise that the filter leaves in
+    the torque.
+    """
     rows: list[tuple[Value, ...]] = []
     for name in found.scores:
         seconds = float(np.mean([score.seconds for score in found.scores[name]]))
@@ -96,26 +103,26 @@ def _beside(words: str, by_seed: FloatArray) -> tuple[Value, ...]:
 
 
 def largest(found: Found, key: str, what: str) -> Table:
-    """MEP per joint."""
+    """Return the table of the largest error over largest torque (MEP) per joint."""
     rows = tuple(
         _row(found.words(name), found.mean(name, "percent"), found.spread(name, "percent"))
         for name in found.scores
     )
     columns = ("method", *joint_titles(found.n), "mean", "SD over seeds")
     note = (
-        "100·max|e|/max|τ| over the judged samples: our reading of the paper's measure, which it "
-        "names, [29], without a formula."
+        "100·max|e|/max|τ| over the test samples: our interpretation of the measure, which the "
+        "paper cites from [29] without a formula."
     )
     return Table(key, f"Largest errors (MEP), {what} [%]", columns, rows, note)
 
 
 def decided(found: Found, key: str, rows: str) -> Table | None:
-    """What residual networks decided about themselves, joint by joint and seed by seed.
+    """Return the table of residual networks, kept or dropped, per joint and seed.
 
     Args:
-        found: What was judged.
-        key: Of the table.
-        rows: What the errors that decided are of.
+        found: Results of a protocol.
+        key: Key of the table.
+        rows: Description of the samples that decide whether a network is kept.
     """
     told: list[tuple[Value, ...]] = [
         (found.words(name), i, *score.decided)
@@ -127,30 +134,33 @@ def decided(found: Found, key: str, rows: str) -> Table | None:
         return None
     columns = ("method", "draw", *joint_titles(found.n))
     note = (
-        f"Error without → with the network [N·m], {rows}. A network is dropped for a joint "
-        "on which it does not help there: ours has to save 2 %, and evenly; the rows of the paper "
-        "keep whatever helps at all."
+        f"Error without → with the network [N·m], {rows}. A network is dropped for a joint if it "
+        "does not reduce the error on these samples: for our method, the reduction must be at "
+        "least 2 % and evenly spread; for the methods of the paper, any reduction suffices."
     )
     return Table(key, "Residual networks: kept or dropped", columns, tuple(told), note)
 
 
 def measured(found: Found, key: str, measure: str, note: str = "") -> Table:
-    """Another measure per joint; rows for which nobody knows it are left out."""
+    """Return the table of one measure per joint; rows without any value are omitted."""
     rows = [
         _row(found.words(name), found.mean(name, measure), found.spread(name, measure))
         for name in found.scores
         if np.any(np.isfinite(found.mean(name, measure)))
     ]
     if measure == "raw":
-        rows.append(_beside("what the filter takes out", found.beside("removed")))
-        note = "What the filter takes out is noise, and signal above its cut-off."
+        rows.append(_beside("signal removed by the filter", found.beside("removed")))
+        note = "The filter removes noise, and signal above its cut-off frequency."
     unit = "" if measure == "within" else " [N·m]"
     columns = ("method", *joint_titles(found.n), "mean", "SD over seeds")
     return Table(key, MEASURES[measure] + unit, columns, tuple(rows), note)
 
 
 def under_loads(found: Found) -> Table | None:
-    """Errors on held-out motions with loads nobody trained on; None without any."""
+    """Return the table of errors in held-out motions with payloads that were not used for training.
+
+    None is returned if all payloads were used for training.
+    """
     loads = carried(found)
     if not loads:
         return None
@@ -164,33 +174,34 @@ def under_loads(found: Found) -> Table | None:
     for load in loads:
         columns += [f"{found.loads[load]} unaware", f"{found.loads[load]} aware"]
     note = (
-        "Mean over joints and seeds, held-out motions, trained without these loads. Unaware: "
-        "nobody says what is carried. Aware: mass, centre of mass and inertia are told."
+        "Mean over joints and seeds on held-out motions; the models were trained without these "
+        "loads. Unaware: the model has no information about the load. Aware: the model knows mass, "
+        "centre of mass and inertia of the load."
     )
-    title = "RMSE under loads that were not trained on [N·m]"
+    title = "RMSE under loads that were not used for training [N·m]"
     return Table("table-loads", title, tuple(columns), tuple(rows), note)
 
 
 def carried(found: Found) -> list[int]:
-    """Numbers of the loads that any judged motion was recorded with."""
+    """Return the payload numbers that occur in the test motions."""
     scores = [score for scores in found.scores.values() for score in scores]
     return [load for load in found.loads if any(load in score.aware for score in scores)]
 
 
 def under(found: Found, name: str, load: int, told: str) -> float:
-    """Mean over joints and the seeds whose judged motions have the load; NaN without any."""
+    """Return the mean error with a payload over the joints and seeds; NaN if no error is known."""
     by_seed = [getattr(score, told).get(load) for score in found.scores[name]]
     known = [float(np.mean(errors)) for errors in by_seed if errors is not None]
     return float(np.mean(known)) if known else float("nan")
 
 
 def repeated(found: Found, name: str) -> Held:
-    """What repeating torque is worth to a row that sees torque."""
+    """Return the error of predicting each torque by an older torque, with the latency of a row."""
     return found.persistence(PREVIOUS_S if ROWS[name].torque == "measured" else LATENCY_S)
 
 
 def both(found: Sequence[Found]) -> Table:
-    """Mean RMSE of every row under every protocol, with its spread."""
+    """Return the table of the mean RMSE of every row under every protocol, with its spread."""
     names = [name for name in ROWS if any(name in one.scores for one in found)]
     rows: list[tuple[Value, ...]] = []
     for name in names:
@@ -215,27 +226,27 @@ LABELS = {
 
 TEXTS = {
     "paper": (
-        "60/20/20 % of the recorded samples, drawn one by one along whole motions; models that "
-        "thin the data learn from every so manyth sample of the same draw. A judged sample's "
-        "neighbours, one sample away, were learned from: these errors say little about another "
-        "motion.",
-        "Only the split is the paper's: networks have the settings with which they converge "
+        "60/20/20 % of the recorded samples, drawn individually along whole motions; models that "
+        "downsample the data learn from every n-th sample of the same draw. The neighbours of a "
+        "test sample, one sample away, are training samples: these errors say little about other "
+        "motions.",
+        "Only the split follows the paper. The networks have settings with which they converge "
         f"(softplus, loss: {LAGRANGIAN_CHOICES['loss']}, "
-        f"at most {LAGRANGIAN_CHOICES['epochs']} epochs, "
-        "and the dissipative network twice so many, at two rates), not the printed ones; "
-        f" those are in the row “{ROWS[LITERAL].words}”, if it was asked for.",
+        f"at most {LAGRANGIAN_CHOICES['epochs']} epochs; "
+        "the dissipative network twice as many, at two learning rates). The settings as printed "
+        f"are used in the row “{ROWS[LITERAL].words}”, if it was selected.",
     ),
     "honest": (
-        "Nine of twelve trajectories are handed to every method, three are judged; networks hold "
-        "out two of the nine by themselves to know when to stop.",
+        "Every method learns from nine of twelve trajectories and is evaluated on three; networks "
+        "use two of the nine as validation set for early stopping.",
     ),
 }
 
 LEFT_OUT = {
-    "paper": "on samples drawn from the motions learned from",
-    "honest": "on trajectories it was not fitted to, none of them judged",
+    "paper": "on samples drawn from the training motions",
+    "honest": "on trajectories that are neither training nor test trajectories",
 }
-"""What residual networks are chosen by."""
+"""Names of the samples that decide whether a residual network is kept, by protocol."""
 
 OURS = ("ours-residual", "ours")
 
@@ -244,18 +255,24 @@ CHANGES = (
     ("proposed", "proposed-memory", "friction with memory in the Proposed network", "Proposed"),
     ("proposed", LITERAL, "the Proposed network with its settings as printed", "with ours"),
 )
-"""Rows that differ by one thing, that thing, and what it is set beside."""
+"""Pairs of table rows that differ in one property of the method.
+
+Each pair consists of the reference row, the changed row, the description of the change, and the
+name of the reference.
+"""
 
 ORDER = (
     ("delan", ("delan-unconstrained", "delan-dissipative")),
     ("delan-unconstrained", ("delan-coulomb", "proposed")),
     ("delan-dissipative", ("delan-coulomb", "proposed")),
 )
-"""Expected: each is worse than those behind it."""
+"""Expected ranking: each key is a row whose error is expected to be larger than the errors of the
+rows in its tuple.
+"""
 
 
 def summary(found: Sequence[Found]) -> Iterator[str]:
-    """What to take away, one sentence each."""
+    """Yield the main conclusions of the study, one sentence each."""
     for one in found:
         sentences = [
             *_ours(one), *_order(one), *_six_or_proposed(one), *_added(one), *_corrected(one),
@@ -270,21 +287,22 @@ def _ours(found: Found) -> Iterator[str]:
     if {"ours", "ours-residual"} <= found.scores.keys() and np.array_equal(
         found.by_seed("ours"), found.by_seed("ours-residual")
     ):
-        ours = "ours"  # the network was dropped throughout: what it stands on did it
+        ours = "ours"  # the network was dropped for all joints and seeds
     if not known:
         return
     best = min(known, key=found.average)
     least = found.average(best)
     if ours is None:
-        yield f"the least error of Methods 1 to 6 is {least:.3g} N·m ({found.words(best)})."
+        yield f"the smallest error of Methods 1 to 6 is {least:.3g} N·m ({found.words(best)})."
         return
     error = found.average(ours)
     noise = float(np.mean(found.beside("noise")))
     name = f"the best of Methods 1 to 6, {found.words(best)}, {least:.3g} N·m"
-    yield f"{found.words(ours)} leaves {error:.3g} N·m, {beside(found, ours, best, name)}."
+    less = beside(found, ours, best, name)
+    yield f"{found.words(ours)} yields an error of {error:.3g} N·m, {less}."
     if least > noise and apart(found, ours, best):
         closed = 100 * (least - error) / (least - noise)
-        gap = f"closes {closed:.0f} % of the gap to the noise, if that is white"
+        gap = f"closes {closed:.0f} % of the gap to the noise, if the noise is white"
         yield f"{found.words(ours)} {gap}."
 
 
@@ -302,17 +320,17 @@ def _order(found: Found) -> Iterator[str]:
     if not pairs:
         return
     if len(found.seen) < FEWEST_SEEDS:
-        yield f"nothing is put in order: {doubt(found)}."
+        yield f"the methods are not ranked: {doubt(found)}."
         return
     sure = [pair for pair in pairs if apart(found, *pair)]
     wrong = [pair for pair in sure if found.average(pair[0]) < found.average(pair[1])]
     open_ = [pair for pair in pairs if pair not in sure]
     if not wrong and not open_:
-        yield "the paper's order holds: Method 4 > Method 5 > Method 6 and Proposed."
+        yield "the ranking of the paper holds: Method 4 > Method 5 > Method 6 and Proposed."
     if wrong:
-        yield f"the paper's order does not hold in {_pairs(wrong)}."
+        yield f"the ranking of the paper does not hold for {_pairs(wrong)}."
     if open_:
-        told = f"the paper's order is not told apart from another in {_pairs(open_)}"
+        told = f"the ranking of the paper is not significant for {_pairs(open_)}"
         yield f"{told}: {doubt(found)}."
 
 
@@ -333,32 +351,32 @@ def _six_or_proposed(found: Found) -> Iterator[str]:
     digits = 3 if f"{six:.3g}" != f"{proposed:.3g}" else 4
     told = [f"Method 6 ({six:.{digits}g} N·m)", f"Proposed ({proposed:.{digits}g} N·m)"]
     if not apart(found, "delan-coulomb", "proposed"):
-        yield f"{told[0]} and {told[1]} are not told apart: {doubt(found)}."
+        yield f"{told[0]} and {told[1]} do not differ significantly: {doubt(found)}."
         return
     if proposed < six:
         told.reverse()
-    yield f"{told[0]} is ahead of {told[1]}."
+    yield f"{told[0]} has a smaller error than {told[1]}."
 
 
 def _added(found: Found) -> Iterator[str]:
-    """What the loops of hybrid learning add, and what friction with memory does."""
+    """Yield sentences about the effect of hybrid learning and of friction with memory."""
     for before, after, words, name in CHANGES:
         if {before, after} <= found.scores.keys():
             told = beside(found, after, before, name)
-            yield f"{words} leaves {found.average(after):.3g} N·m, {told}."
+            yield f"{words} yields an error of {found.average(after):.3g} N·m, {told}."
 
 
 def _corrected(found: Found) -> Iterator[str]:
     for key in ("rc-motion", "rc-grouped"):
         if {key, "proposed"} <= found.scores.keys():
             told = beside(found, key, "proposed", "Proposed")
-            yield f"{found.words(key)} leaves {found.average(key):.3g} N·m, {told}."
+            yield f"{found.words(key)} yields an error of {found.average(key):.3g} N·m, {told}."
     for key in ("rc-paper", "rc-history"):
         if key in found.scores:
             error, held = found.average(key), repeated(found, key)
             yield (
-                f"{found.words(key)} leaves {error:.3g} N·m; to repeat the torque of "
-                f"{1e3 * held.age_s:.3g} ms ago leaves {float(np.mean(held.error)):.3g} N·m."
+                f"{found.words(key)} yields an error of {error:.3g} N·m; repeating the torque of "
+                f"{1e3 * held.age_s:.3g} ms ago yields {float(np.mean(held.error)):.3g} N·m."
             )
 
 
@@ -369,8 +387,11 @@ def _carried(found: Found) -> Iterator[str]:
     load, name = loads[-1], found.loads[loads[-1]]
     keys = [key for key in found.scores if not ROWS[key].torque]
     told = [
-        f"{words}, the least error is {least}"
-        for how, words in (("unaware", "nobody told of it"), ("aware", "told of it"))
+        f"{words}, the smallest error is {least}"
+        for how, words in (
+            ("unaware", "without information about it"),
+            ("aware", "with this information"),
+        )
         if (least := _least(found, keys, load, how))
     ]
     if told:
@@ -378,13 +399,13 @@ def _carried(found: Found) -> Iterator[str]:
     handed = _least(found, [key for key in found.scores if ROWS[key].torque], load, "unaware")
     if handed:
         yield (
-            f"with {name} that nobody told of, {handed} is the least of the rows that see the "
-            "measured torque, and so the load: they were handed the answer."
+            f"with {name} and without information about it, {handed} is the smallest error of the "
+            "rows that use the measured torque, which contains the effect of the load."
         )
 
 
 def _least(found: Found, keys: Sequence[str], load: int, told: str) -> str:
-    """Least error under a load, and whose; empty where nobody has one."""
+    """Return the smallest error with a payload and its row; empty if no row has a value."""
     errors = {key: under(found, key, load, told) for key in keys}
     errors = {key: error for key, error in errors.items() if np.isfinite(error)}
     if not errors:

@@ -1,10 +1,11 @@
-"""Models that a study of loads judges: on which motions, told what, and with which errors.
+"""Models and data of the load-validation study: folds, payload information, and prediction errors.
 
-Each motion is judged once, by a model that was fitted to all the others (`Candidate`, fold by
-fold): two motions of eight are few, and which two they are changes what a model seems to be worth
-by a tenth or more. Under every load, the motions that are not judged are there to identify it
-from (`LoadCase`). `judged` scores a model told nothing of the load, told what was declared, and
-told what was identified, and checks the declarations.
+Each motion is used for testing in exactly one fold, with a model that was fitted to all other
+motions (`Candidate`, one fit per fold). A single split would be unreliable: if two of eight motions
+are held out, the choice of these two motions changes the error by 10 % or more. For every payload,
+the motions that are not held out are used to identify the payload (`LoadCase`). `judged` computes
+the errors of a model without payload information, with the declared payload, and with the
+identified payload. `judged` also checks the declared payloads against the identified payloads.
 """
 
 from __future__ import annotations
@@ -47,14 +48,16 @@ from hil.studies.inverse_cases import Recorded, load_names
 from hil.studies.result import listed, mean_of
 
 Entry = str | Mapping[str, Any]
-"""An estimator by name, or with its parameters beside the key `estimator`."""
+"""Name of an estimator, or mapping of its parameters that contains the estimator name under the key
+`estimator`.
+"""
 
 
 def estimator_of(entry: Entry) -> RobotEstimator:
-    """An estimator as it is asked for, unfitted.
+    """Return an unfitted estimator with the requested parameters.
 
     Raises:
-        PluginError, SpecError: There is no such estimator or parameter.
+        PluginError, SpecError: The estimator or one of its parameters does not exist.
     """
     if isinstance(entry, str):
         return estimator(entry)
@@ -63,20 +66,21 @@ def estimator_of(entry: Entry) -> RobotEstimator:
 
 
 Fold = frozenset[Group]
-"""Motions that are judged together."""
+"""Names of the motions that are held out together."""
 
 SHARE = 4
-"""One motion of so many is judged at a time, where nobody says how many."""
+"""Default number of folds: one of four motions is held out at a time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A way to get models of the bare arm.
+    """Source of fitted models of the arm with the first payload.
 
     Attributes:
-        name: For people.
-        fitted: The model for a fold, which has seen nothing of it.
-        folds: Those it can be judged on.
+        name: Display name.
+        fitted: Function that returns the model for a fold; the motions of the fold are not part of
+            its training data.
+        folds: Folds on which the candidate can be tested.
     """
 
     name: str
@@ -85,21 +89,22 @@ class Candidate:
 
 
 def folds_of(every: Sequence[Group], first: Fold | None, size: int | None) -> tuple[Fold, ...]:
-    """Every motion once, from the last ones to the first.
+    """Divide the motions into folds, starting with the last motions; each motion is in one fold.
 
     Args:
-        every: The motions.
-        first: Those of the first fold, where that is given: as many make each other one.
-        size: Motions of a fold; by default a quarter of them.
+        every: All motions.
+        first: Motions of the first fold, whose size also sets the size of the other folds; None if
+            the first fold can be chosen freely.
+        size: Number of motions per fold; by default a quarter of the motions.
 
     Raises:
-        FitError: Nothing would be left to fit to.
+        FitError: No motion would remain for training.
     """
     size = len(first) if first is not None else size or max(1, len(every) // SHARE)
     if size >= len(every):
         raise FitError(
             f"{size} of {len(every)} motions cannot be held out",
-            hint="hold_out: fewer, so that some are left to fit to",
+            hint="reduce hold_out, so that motions remain for the fit",
         )
     rest = [group for group in every if first is None or group not in first]
     parts = [rest[max(0, end - size) : end] for end in range(len(rest), 0, -size)]
@@ -109,11 +114,12 @@ def folds_of(every: Sequence[Group], first: Fold | None, size: int | None) -> tu
 def fresh_models(
     entries: Sequence[Entry], data: Dataset, of: Recorded, robot: RobotModel, size: int | None
 ) -> tuple[Candidate, ...]:
-    """Estimators that are fitted fold by fold, to the first load and with their own settings.
+    """Return candidates that are fitted once per fold to data with the first payload.
 
     Raises:
-        PluginError, SpecError: There is no such estimator or parameter; nothing has been fitted.
-        FitError: The motions are too few.
+        PluginError, SpecError: An estimator or a parameter does not exist; in this case, no model
+            has been fitted.
+        FitError: There are too few motions for the folds.
     """
     every = groups(of.bare.data, "trajectory")
     folds = folds_of(every, None, size)
@@ -136,7 +142,10 @@ def _fit(
 
 
 def _rotated(model: RobotEstimator, folds: tuple[Fold, ...]) -> tuple[Fold, ...]:
-    """Networks train for minutes: they are judged on the first fold alone."""
+    """Return the folds on which a model is tested.
+
+    Networks are tested on the first fold only, because their training takes minutes.
+    """
     return folds[:1] if keeps_checkpoints(model) else folds
 
 
@@ -150,11 +159,14 @@ OTHER_MOTIONS = "record other motions, or fit with `validate: {hold_out: {trajec
 def stored_models(
     models: Sequence[Path], data: Dataset, of: Recorded, robot: RobotModel, size: int | None
 ) -> tuple[Candidate, ...]:
-    """Stored models; one of the run itself is fitted again for the motions it has seen.
+    """Return candidates for models that are stored in files.
+
+    A model that was fitted to this run is fitted again without the motions of the fold. The fitted
+    model is then tested on these motions.
 
     Raises:
-        DataError: As `unseen`.
-        FitError: The motions are too few.
+        DataError: The files of a model cannot be read, or the model cannot be used (see `unseen`).
+        FitError: There are too few motions for the folds.
     """
     found, left = unseen(models, of)
     every = groups(of.bare.data, "trajectory")
@@ -172,7 +184,7 @@ def _of_stored(
     if not seen:
         return Candidate(name, lambda fold: model, folds)
     again = partial(_fit, model, data, of, robot)
-    # Only a model fitted to all the rest of this run, and to nothing else, can be fitted again.
+    # Only a model fitted to the rest of this run and to no other data can be fitted again.
     of_one_source = bool(model.training_ and len(model.training_.sources) <= 1)
     whole = seen == set(groups(bare, "trajectory")) - left and of_one_source
     judged = _rotated(model, folds) if whole else folds[:1]
@@ -182,22 +194,23 @@ def _of_stored(
 def unseen(
     models: Sequence[Path], of: Recorded
 ) -> tuple[list[tuple[str, RobotEstimator]], frozenset[Group]]:
-    """Stored models with their names, and the motions of a run that none of them has seen.
+    """Return stored models with their names, and the motions to which no model was fitted.
 
     Args:
-        models: Their folders; one that is not there is looked for in the run's.
-        of: The run.
+        models: Paths of model folders; a path that does not exist is searched for in the run
+            directory.
+        of: Trajectories of the run on which the models are tested.
 
     Raises:
-        DataError: One cannot be read or was fitted with another load, or there is no motion that
-            none has seen.
+        DataError: The files of a model cannot be read, a model was fitted to data of the run with a
+            different payload, or all motions were used for fitting.
     """
     stored = [(path, load_model_file(_place(path, of))) for path in models]
     for path, model in stored:
         if knows(model, _loaded(of)):
             raise DataError(
                 f"{path} was fitted to recordings of this run with a load",
-                hint="fit a model to the first load alone, or name an --estimator",
+                hint="fit a model to the first load only, or name an --estimator",
             )
     bare = of.bare.data
     fresh = [
@@ -208,8 +221,8 @@ def unseen(
     if not fresh:
         told = listed([str(path) for path in models])
         raise DataError(
-            f"no motion of this run is left to judge on: {told} "
-            f"{'was' if len(models) == 1 else 'were'} fitted to all of them",
+            f"no motion of this run remains for evaluation: {told} "
+            f"{'was' if len(models) == 1 else 'were'} fitted to all motions",
             hint=OTHER_MOTIONS,
         )
     return _named(stored), frozenset(fresh)
@@ -221,7 +234,7 @@ def _place(model: Path, of: Recorded) -> Path:
 
 
 def _named(stored: Sequence[tuple[Path, RobotEstimator]]) -> list[tuple[str, RobotEstimator]]:
-    """By estimator; by folder where that is there twice."""
+    """Return the models by estimator name, or by folder name if estimator names are equal."""
     names = [model.estimator for _, model in stored]
     return [
         (model.estimator if names.count(model.estimator) == 1 else path.name, model)
@@ -230,24 +243,25 @@ def _named(stored: Sequence[tuple[Path, RobotEstimator]]) -> list[tuple[str, Rob
 
 
 def knows(model: RobotEstimator, data: Dataset) -> bool:
-    """Whether a model was fitted to some of these samples."""
+    """Return whether a model was fitted to at least one of the samples."""
     return bool(model.training_ and model.training_.rows.share_known(data) > SAME_SHARE)
 
 
 def motions_of(data: Dataset, wanted: AbstractSet[Group]) -> Dataset:
-    """The recordings of some motions, under whatever load."""
+    """Return the recordings of the selected motions with all payloads."""
     return data.select(lambda condition: group_of(condition, "trajectory") in wanted)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadCase:
-    """One load of a run.
+    """Data of the motions with one payload of a run.
 
     Attributes:
-        name: Such as `3 kg`.
-        declared: As the run's spec has it.
-        told: Motions to identify it from; None for the first load, under which models learn.
-        judged: The motions held out, under this load.
+        name: Display name of the payload, such as `3 kg`.
+        declared: Payload as declared in the spec of the run.
+        told: Motions for identifying the payload; None for the first payload, with which the models
+            are fitted.
+        judged: Held-out motions with this payload, for testing the models.
     """
 
     name: str
@@ -257,10 +271,11 @@ class LoadCase:
 
 
 def load_cases(of: Recorded, held: frozenset[Group]) -> list[LoadCase]:
-    """The first load, then the others.
+    """Return the data of the first payload, followed by the data of the other payloads.
 
     Raises:
-        FitError: The run has no other load, or one of them not all the motions it takes.
+        FitError: The run has no second payload, or a payload lacks motions for identification or
+            testing.
     """
     bare, loaded = of.bare.data, _loaded(of)
     first = next(iter(bare.conditions))
@@ -274,8 +289,8 @@ def load_cases(of: Recorded, held: frozenset[Group]) -> list[LoadCase]:
         told = motions_of(data, frozenset(groups(data, "trajectory")) - held)
         if not judged.conditions or not told.conditions:
             raise FitError(
-                f"{names[load]}: no motion is left to "
-                f"{'identify it from' if judged.conditions else 'judge on'}",
+                f"{names[load]}: no motion remains for "
+                f"{'its identification' if judged.conditions else 'the evaluation'}",
                 hint="record every trajectory with every load",
             )
         told = downsample(told, of.bare.filters)
@@ -284,7 +299,7 @@ def load_cases(of: Recorded, held: frozenset[Group]) -> list[LoadCase]:
 
 
 def _told_apart(names: dict[int, str]) -> dict[int, str]:
-    """One mass mounted twice is two loads."""
+    """Return unique payload names; payloads of equal mass get the payload number as a suffix."""
     masses = list(names.values())
     return {
         load: name if masses.count(name) == 1 else f"{name} (load {load})"
@@ -295,27 +310,32 @@ def _told_apart(names: dict[int, str]) -> dict[int, str]:
 def _loaded(of: Recorded) -> Dataset:
     if of.loaded is None:
         raise FitError(
-            "the run has no load besides its first",
-            hint="record one with several, as experiments/load_generalisation.yaml does",
+            "the run has only one load",
+            hint="record a run with several loads, as experiments/load_generalisation.yaml does",
         )
     return of.loaded
 
 
 TOLD = ("unaware", "declared", "calibrated", "identified")
-"""What the model is told of the load: nothing; what the spec says; the same, and how far the drive
-gains are off as the other loads tell; what other motions with the load say."""
+"""Information about the payload that is passed to a model.
+
+`unaware`: none. With `declared`, the model receives the payload in the spec. With `calibrated`, the
+model receives the payload in the spec, and its drive gains are corrected by means of the other
+payloads. With `identified`, the model receives the payload identified from other motions.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnderLoads:
-    """What a model is worth under every load of a run.
+    """Prediction errors of one model with every payload of a run.
 
     Attributes:
-        name: Of the model, for people.
-        protocol: `honest`, or how its fit departs from that.
-        loads: The first one, under which it was fitted, then the others; errors over all folds,
-            loads as identified without the first one.
-        folds: The same of every fold by itself.
+        name: Display name of the model.
+        protocol: `honest`, or a description of how the fit departs from the honest protocol.
+        loads: Results for the first payload, with which the model was fitted, and for the other
+            payloads. Prediction errors are pooled over all folds; the identified payloads are those
+            of the first fold.
+        folds: Separate results of every fold.
     """
 
     name: str
@@ -325,24 +345,27 @@ class UnderLoads:
 
     @staticmethod
     def of(name: str, protocol: str, folds: Sequence[tuple[Scored, ...]]) -> UnderLoads:
-        """From the folds: squares of errors are averaged, motion by motion."""
+        """Combine the results of all folds into one result.
+
+        Squared errors are averaged over the folds, weighted by their number of samples.
+        """
         loads = tuple(_pooled(each) for each in zip(*folds, strict=True))
         return UnderLoads(name, protocol, loads, tuple(folds))
 
     def ratios(self, told: str = "declared") -> FloatArray:
-        """(loads but the first,) error over that with the first load; NaN where not known.
+        """Return the (payloads − 1,) ratios of each error to the error with the first payload.
 
-        Both errors are means over the joints.
+        The two errors of a ratio are means over the joints. The ratio of an unknown error is NaN.
         """
         return _ratios(self.loads, told)
 
     def worst(self, told: str = "declared") -> tuple[Scored, float]:
-        """The load told of which it errs most, and by how many times as much as with the first."""
+        """Return the payload with the largest error ratio, and this ratio."""
         i, ratios = self._worst(told), self.ratios(told)
         return self.loads[1 + i], float(ratios[i])
 
     def spread(self, told: str = "declared") -> tuple[float, float]:
-        """Smallest and largest of the folds' own ratios, under the worst load of all."""
+        """Return the smallest and the largest error ratio of the folds, for the worst payload."""
         i = self._worst(told)
         each = [float(_ratios(fold, told)[i]) for fold in self.folds]
         return min(each), max(each)
@@ -351,22 +374,24 @@ class UnderLoads:
         return int(np.argmax(self.ratios(told)))  # a NaN counts as the largest
 
     def contradicted(self) -> tuple[str, ...]:
-        """Loads whose declaration is contradicted, or could not be checked."""
+        """Return the names of payloads whose declaration is contradicted or was not checkable."""
         others = (one for one in self.loads if one.case.told is not None)
         return tuple(one.case.name for one in others if one.check is None or not one.check.agrees)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scored:
-    """One load.
+    """Prediction errors and payload check for one payload.
 
     Attributes:
-        case: Its recordings.
-        errors: By `TOLD`, (n,) RMSE in N·m on the motions held out; without `identified` where
-            there is no estimate, and without `calibrated` where no other load tells gains.
-        estimate: The identified load; None for the first one, and where it failed.
-        failed: Why it did.
-        check: The declaration against it; None without an estimate, or where nobody asked.
+        case: Data of the motions with this payload.
+        errors: (n,) RMSE [N·m] on the held-out motions, by kind of payload information (keys of
+            `TOLD`). The key `identified` is missing without an estimate; the key `calibrated` is
+            missing if no other payload determines the drive gains.
+        estimate: Identified payload; None for the first payload and for a failed identification.
+        failed: Reason why the payload could not be identified; empty if it was identified.
+        check: Comparison of the declared and the identified payload; None without an estimate or
+            without a check.
     """
 
     case: LoadCase
@@ -377,7 +402,7 @@ class Scored:
 
 
 def _pooled(folds: Sequence[Scored]) -> Scored:
-    """One load over all folds."""
+    """Return the prediction errors with one payload, combined over all folds."""
     rows = [len(fold.case.judged) for fold in folds]
     errors = {
         told: np.sqrt(np.average([fold.errors[told] ** 2 for fold in folds], axis=0, weights=rows))
@@ -401,14 +426,14 @@ def judged(
     friction: Friction | Literal["auto"],
     false_alarm: float,
 ) -> tuple[Scored, ...]:
-    """One fold: errors under every load, and every declaration against what was identified.
+    """Return the results of one fold: errors with every payload, and checks of the declarations.
 
     Args:
-        model: Fitted without any of it.
-        cases: The loads, the first one first.
+        model: Model that was fitted without the data in `cases`.
+        cases: Data of the payloads, starting with the first payload.
         scale: (n,) torque per unit of effort.
-        friction: See `estimate_payload`.
-        false_alarm: See `check_declarations`.
+        friction: Friction treatment, as in `estimate_payload`.
+        false_alarm: False-alarm rate of the payload check, as in `check_declarations`.
     """
     loads = [_scored(model, case, scale, friction) for case in cases]
     known = [one for one in loads if one.estimate is not None]
@@ -423,7 +448,7 @@ def judged(
 def _scored(
     model: RobotEstimator, case: LoadCase, scale: FloatArray, friction: Friction | Literal["auto"]
 ) -> Scored:
-    """A load's errors; an estimate that fails is told, not raised."""
+    """Return the errors with one payload; a failed identification is returned, not raised."""
     loads = {"unaware": Payload(), "declared": case.declared}
     found, failed = None, ""
     if case.told is not None:
@@ -440,19 +465,19 @@ def _scored(
 
 
 def _checked(model: RobotEstimator, one: Scored, check: Declaration, scale: FloatArray) -> Scored:
-    """With its declaration judged, and its error where gains are as the other loads tell."""
+    """Return the results with the payload check and the error with corrected drive gains added."""
     errors = dict(one.errors)
     if np.any(check.gains):
         data = one.case.judged
         bare, declared = (_effort(model, data, load) for load in (Payload(), one.case.declared))
-        # A larger gain makes the same torque of the load from less current.
+        # With a larger drive gain, less current produces the same torque.
         effort = bare + (declared - bare) / (1.0 + check.gains)
         errors["calibrated"] = _error(data, effort, scale)
     return replace(one, errors=errors, check=check)
 
 
 def _effort(model: RobotEstimator, data: Dataset, load: Payload) -> FloatArray:
-    """(N, n) effort; NaN where the model does not vouch for it."""
+    """Return the (N, n) predicted effort, with NaN in rows that the model marks as invalid."""
     predicted = model.predict(with_identified(data, load))
     return np.where(predicted.valid, predicted.effort, np.nan)
 

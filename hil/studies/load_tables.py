@@ -1,4 +1,4 @@
-"""Tables, figures and sentences of a study of loads."""
+"""Tables, figures and summary sentences of the load-validation study."""
 
 from __future__ import annotations
 
@@ -13,28 +13,27 @@ from hil.studies.load_models import TOLD, Scored, UnderLoads
 from hil.studies.result import Table, Value, joint_titles, listed, mean_of, value, values, with_mean
 
 FIRST_INERTIA = 4
-"""Where inertias begin in `NAMES`."""
+"""Index of the first moment of inertia in the parameter names `NAMES`."""
 
 _WAYS = {
-    "unaware": "the model is not told that anything is mounted",
-    "declared": "it is told the load of the spec",
-    "calibrated": "the same, with the drive gains that the other loads tell",
-    "identified": "it is told the load that other motions with it show",
+    "unaware": "the model has no information about the load",
+    "declared": "the model uses the load of the spec",
+    "calibrated": "the same, with drive gains corrected by means of the other loads",
+    "identified": "the model uses the load identified from other motions",
 }
 
 WAYS = ". ".join(f"{told.capitalize()}: {_WAYS[told]}" for told in TOLD if told in _WAYS) + "."
-"""One line on what a model may be told."""
+"""Texts that explain the kinds of payload information a model can receive."""
 
 TORQUES = (
-    "In N·m, so that joints compare: where currents were measured, they are multiplied by the "
-    "drive gains."
+    "All errors are in N·m, to compare joints; measured currents are multiplied by the drive gains."
 )
 
-_ERRORS_NOTE = f"Against the filtered torque. {WAYS} {TORQUES}"
+_ERRORS_NOTE = f"Errors relative to the filtered torque. {WAYS} {TORQUES}"
 
 
 def errors(found: Sequence[UnderLoads]) -> Table:
-    """RMSE per joint, by load, model and what it is told."""
+    """Return the table of the RMSE per joint, by payload, model and payload information."""
     n = len(found[0].loads[0].errors["unaware"])
     rows: list[tuple[Value, ...]] = [
         (f"{one.case.name}, {model.name}, {told}", *with_mean(one.errors[told]))
@@ -42,29 +41,29 @@ def errors(found: Sequence[UnderLoads]) -> Table:
         for told in TOLD
         if told in one.errors
     ]
-    title = "RMSE on motions held out, by load and what is told of it [N·m]"
+    title = "RMSE on held-out motions, by load and information about the load [N·m]"
     columns = ("load", *joint_titles(n), "mean")
     return Table("table-load-errors", title, columns, tuple(rows), _ERRORS_NOTE)
 
 
 def _by_load(found: Sequence[UnderLoads]) -> Iterator[tuple[UnderLoads, Scored]]:
-    """Every model under the first load, then every model under the second."""
+    """Yield the results of all models for the first payload, then for the second payload, etc."""
     for each in zip(*(model.loads for model in found), strict=True):
         yield from zip(found, each, strict=True)
 
 
 _CHECK_NOTE = (
-    "A turned tool would show: its centre of mass is far enough beside the flange's axis; where it "
-    "is not, the angle at which it is mounted cannot be checked. Used to correct gains: this load "
-    "agrees with the others, so that together they tell how far the drive gains are off."
+    "Mounting angle observable: the centre of mass is far enough from the axis of the flange; "
+    "otherwise a rotated tool cannot be detected. Used to correct gains: this load agrees with the "
+    "others, so that it contributes to the correction of the drive gains."
 )
 
 
 def declarations(model: UnderLoads) -> Table:
-    """The verdict on every declared load, by one model."""
+    """Return the table of the checks of all declared payloads by one model."""
     rows = [(one.case.name, *_verdict(one)) for one in model.loads if one.case.told is not None]
     columns = (
-        "load", "declaration", "what is wrong", "a turned tool would show", "used to correct gains"
+        "load", "declaration", "problem", "mounting angle observable", "used to correct gains"
     )  # fmt: skip
     title = f"Declared loads, checked by {model.name}"
     return Table("table-declarations", title, columns, tuple(rows), _CHECK_NOTE)
@@ -84,24 +83,34 @@ def _yes(true: bool) -> str:
 
 
 _IDENTIFIED_NOTE = (
-    "Declared: in the spec. Identified: from the motions with the load, with drive gains as the "
-    "other loads tell them. Difference: identified less declared. Allowed: a larger difference "
-    "contradicts the declaration."
+    "Declared: from the spec. Identified: from the motions with the load, with drive gains "
+    "corrected by means of the other loads. Difference: identified minus declared. Allowed: a "
+    "larger difference contradicts the declaration."
 )
 
 _WEIGHED_NOTE = (
-    "The weighing before the motions measures the same mass from a few poses at rest, and its ± is "
-    "one standard deviation. What is allowed here is almost four; both include what the drive "
-    "gains may have wrong, which no repetition shows."
+    "The weighing before the motions measures the same mass in a few static poses; its ± is one "
+    "standard deviation. The difference allowed here is almost four standard deviations. Both "
+    "include the uncertainty of the drive gains, which does not show in repeated measurements."
 )
 
 
 def identified(model: UnderLoads) -> tuple[Table, ...]:
-    """Mass and centre of every load, declared and identified; inertia where it is determined."""
+    """Return tables of the declared and identified mass and centre of mass of every payload.
+
+    A table of the moments of inertia is included if the data determine them.
+    """
     kinds = (
         ("table-mass", "Mass [kg]", slice(0, 1), 1.0, 3, f"{_IDENTIFIED_NOTE} {_WEIGHED_NOTE}"),
-        ("table-centre", "Centre of mass in the flange's frame [mm]", slice(1, 4), 1e3, 1, ""),
-        ("table-inertia", "Inertia about the centre [10⁻³ kg·m²]", slice(4, 10), 1e3, 2, ""),
+        ("table-centre", "Centre of mass in the flange frame [mm]", slice(1, 4), 1e3, 1, ""),
+        (
+            "table-inertia",
+            "Inertia about the centre of mass [10⁻³ kg·m²]",
+            slice(4, 10),
+            1e3,
+            2,
+            "",
+        ),
     )
     columns = ("load", "declared", "identified", "difference", "allowed ±")
     return tuple(
@@ -121,7 +130,7 @@ def _quantities(one: Scored, which: slice, scale: float) -> Iterator[tuple[Value
     told = np.zeros(len(NAMES)) if empty else true_values(one.case.declared)
     known = one.estimate.determined
     for i in range(len(NAMES))[which]:
-        # An inertia that nobody can tell is a row of noise.
+        # An inertia that the data do not determine would only be noise.
         if i >= FIRST_INERTIA and not known[NAMES[i]]:
             continue
         declared, found, limit = (
@@ -132,28 +141,32 @@ def _quantities(one: Scored, which: slice, scale: float) -> Iterator[tuple[Value
 
 
 def figures(found: Sequence[UnderLoads]) -> tuple[Figure, ...]:
-    """Fig. 8(b) of the PINN paper for every model, and the models side by side at every joint."""
+    """Return Fig. 8(b) of the PINN paper for every model, and a comparison of the models."""
     return _by_what_is_told(found), _by_joint(found)
 
 
 def _by_what_is_told(found: Sequence[UnderLoads]) -> Figure:
-    """For every model a panel with everything, and one without what sets the scale of that."""
+    """Return a figure with two panels per model: all errors, and errors without `unaware`.
+
+    The second panel omits the errors of `unaware`, because these large errors set the scale of the
+    first panel.
+    """
     aware = [told for told in TOLD if told != "unaware"]
     panels = tuple(
         _panel(title, [(told, model, told) for told in ways])
         for model in found
-        for title, ways in ((model.name, TOLD), (f"{model.name}, told of the load", aware))
+        for title, ways in ((model.name, TOLD), (f"{model.name}, aware of the load", aware))
     )
     caption = (
-        f"Mean over the joints of the RMSE on motions held out; nothing was learned with a load. "
-        f"{WAYS} On the right the same without the unaware model, on its own scale. {TORQUES} "
-        "Drawn as Fig. 8(b) of the paper on physics-informed networks (PINN)."
+        f"Mean over the joints of the RMSE on held-out motions; no model was trained with a load. "
+        f"{WAYS} Right: the same without the unaware model, on a separate scale. {TORQUES} "
+        "Drawn like Fig. 8(b) of the paper on physics-informed networks (PINN)."
     )
     return Figure("fig-load-errors", "Errors under loads", caption, panels, 2)
 
 
 _Bars = tuple[str, UnderLoads, str]
-"""Name in the legend, the model, and what it is told."""
+"""Tuple of legend name, model, and payload information that the model receives."""
 
 
 def _panel(title: str, curves: Sequence[_Bars], joint: int | None = None) -> Panel:
@@ -186,50 +199,54 @@ def _by_joint(found: Sequence[UnderLoads]) -> Figure:
     )
     n = len(found[0].loads[0].errors["unaware"])
     panels = tuple(_panel(title, curves, j) for j, title in enumerate(joint_titles(n)))
-    told = "told of the load as the spec declares it" if several else "told and not told"
-    caption = f"RMSE on motions held out, {told}. Every joint has its own scale."
+    told = "with the load as declared in the spec" if several else "with and without load"
+    caption = f"RMSE on held-out motions, {told}. Every joint has a separate scale."
     return Figure("fig-load-joints", "Errors under loads by joint", caption, panels, 2)
 
 
 def average(one: Scored, told: str) -> float | None:
-    """Mean over the joints; None where there is none."""
+    """Return the mean error over the joints; None if no error is known."""
     return value(_height(one, told, None))
 
 
 ALIKE = 1.5
-"""Errors of masses that differ by no more than this factor are one error, made with every load."""
+"""Maximum ratio of the mass errors of different payloads that are treated as one common error."""
 
 BEYOND = 0.5
-"""Share of its limit from which an error that all loads share is worth a word."""
+"""Minimum mass error for a warning about a common error of all payloads, as a share of the error
+limit.
+"""
 
 ABOVE = 1.25
-"""Times by which an error told of a load as declared is above that as identified, to be told."""
+"""Minimum ratio of the error with the declared payload to the error with the identified payload
+that causes a warning.
+"""
 
 TEXT = (
-    "Models were fitted to the first load alone. Motions are held out under every load, and each "
-    "load is identified from the other motions with it. Every motion is judged once, by a model "
-    "fitted to the others, and errors are over all of them. Every model identifies loads for "
-    "itself; the first, as fitted without the first motions that were judged, checks the "
-    "declarations.",
-    "A declaration is contradicted where the identified load is further from it than noise, drive "
-    "gains and the model's own errors explain. A joint whose gain is really larger makes every "
-    "load too light: the loads that agree with one another tell by how much. With a single load, "
-    "a wrong mass and wrong gains look alike, and limits are wider.",
+    "All models were fitted with the first load only. Motions are held out under every load, and "
+    "each load is identified from the other motions with this load. Every motion is evaluated "
+    "once, by a model fitted to the other motions; errors are over all motions. Every model "
+    "identifies the loads separately; the first model, fitted without the first held-out motions, "
+    "checks the declarations.",
+    "A declaration is contradicted if the identified load differs from it by more than noise, "
+    "drive gains and model errors explain. A joint whose drive gain is larger than assumed makes "
+    "every load appear too light; loads that agree with one another determine this error. With a "
+    "single load, a wrong mass cannot be distinguished from wrong gains, and the limits are wider.",
 )
 
 
 def title(found: Sequence[UnderLoads], models: Sequence[str]) -> str:
-    """Which models the study is of: those of the run, stored elsewhere, or its own fits."""
+    """Return the title, which states whether the models are stored or fitted for the study."""
     names = listed([one.name for one in found])
     if not models:
-        return f"Under loads: {names}, fitted for this study, and the loads as declared"
+        return f"Validation under loads: {names}, fitted for this study"
     if all(model.startswith("fit/") for model in models):
-        return f"Under loads: {names}, models of this run, and the loads as declared"
-    return f"Under loads: {names}, stored in {listed(models)}, and the loads as declared"
+        return f"Validation under loads: {names}, models of this run"
+    return f"Validation under loads: {names}, stored in {listed(models)}"
 
 
 def summary(found: Sequence[UnderLoads], false_alarm: float) -> tuple[str, ...]:
-    """What to take away."""
+    """Return the main conclusions of the study, one sentence each."""
     return (*_wrong(found[0].loads, false_alarm), *(_worst(model) for model in found))
 
 
@@ -238,23 +255,23 @@ def _wrong(found: Sequence[Scored], false_alarm: float) -> Iterator[str]:
     wrong = [(one, check) for one, check in checked if not check.agrees]
     for one, check in wrong:
         yield f"{one.case.name}: {'; '.join(finding.text for finding in check.findings)}."
-    rest = f"Of correct ones at most {100 * false_alarm:.2g} % would be called wrong."
+    rest = f"The probability of contradicting a correct load is at most {100 * false_alarm:.2g} %."
     if len(checked) == 1 and not wrong:
-        yield f"The declared load agrees with the one identified. {rest}"
+        yield f"The declared load agrees with the identified load. {rest}"
     elif checked and not wrong:
-        yield f"All {len(checked)} declared loads agree with those identified. {rest}"
+        yield f"All {len(checked)} declared loads agree with the identified loads. {rest}"
     elif checked:
         are = "is" if len(wrong) == 1 else "are"
         yield f"{len(wrong)} of {len(checked)} declared loads {are} contradicted. {rest}"
     if checked:
         limits = [f"{check.limit[0]:.2f} kg ({one.case.name})" for one, check in checked]
-        yield f"Masses wrong by less than this would not have been flagged: {listed(limits)}."
+        yield f"Smaller errors of the declared mass cannot be detected: {listed(limits)}."
 
 
 def _worst(model: UnderLoads) -> str:
     bare, (worst, ratio) = model.loads[0], model.worst()
     least, most = model.spread()
-    several = f", {least:.2f} to {most:.2f} by which motions are held out"
+    several = f", {least:.2f} to {most:.2f} depending on the held-out motions"
     spread = several if len(model.folds) > 1 else ""
     words = {"declared": f"declared ({ratio:.2f} times that of {bare.case.name}{spread})"}
     each = [(words.get(told, told), average(worst, told)) for told in TOLD]
@@ -268,7 +285,7 @@ def _worst(model: UnderLoads) -> str:
 def warnings(
     found: Sequence[UnderLoads], unfitted: Sequence[tuple[str, HilError]]
 ) -> tuple[str, ...]:
-    """What could not be told."""
+    """Return warnings about failed fits, failed identifications and unreliable checks."""
     checked = [(one, one.check) for one in found[0].loads if one.check]
     told = [f"{name}: {error.message}" for name, error in unfitted]
     told += [
@@ -282,11 +299,15 @@ def warnings(
     agree = all(check.agrees for _, check in checked)
     if len(checked) == 1:
         told.append(
-            "a single load: nothing else tells drive gains, so that a mass that is wrong by what "
-            "they may be off cannot be told from them; record a second and a third"
+            "a single load: the drive gains cannot be checked with other loads, so that an error "
+            "of the mass cannot be distinguished from an error of the drive gains; record a second "
+            "and a third load"
         )
     if len(checked) == 2 and not agree:
-        told.append("two loads contradict each other: which is wrong is a guess; record a third")
+        told.append(
+            "two loads contradict each other: which load is wrong cannot be determined; record a "
+            "third load"
+        )
     told += _shared(checked) if agree else ()
     return (*told, *_above(found[0]))
 
@@ -296,16 +317,16 @@ def _once(found: Sequence[UnderLoads]) -> Iterator[str]:
     few = [model.name for model in found if len(model.folds) < most]
     if few:
         yield (
-            f"{listed(few)}: judged on the first motions held out alone, the others on all: their "
-            "figures are of different motions"
+            f"{listed(few)}: evaluated on the first held-out motions only, the other models on all "
+            "motions: the errors are not directly comparable"
         )
 
 
 def _hidden(one: Scored, check: Declaration) -> str:
     reach = 1e3 * float(np.max(check.limit[1:3]))
     return (
-        f"{one.case.name}: the centre of mass cannot be told from the flange's axis "
-        f"(±{reach:.0f} mm), so that the angle at which it is mounted cannot be observed"
+        f"{one.case.name}: the centre of mass cannot be distinguished from the axis of the flange "
+        f"(±{reach:.0f} mm), so that the mounting angle cannot be checked"
     )
 
 
@@ -314,7 +335,11 @@ def _on_axis(check: Declaration) -> bool:
 
 
 def _shared(checked: Sequence[tuple[Scored, Declaration]]) -> Iterator[str]:
-    """All loads off by the same mass: each alone within its limit, together hardly by chance."""
+    """Yield a warning if the mass errors of all payloads are similar and have the same sign.
+
+    Each mass error alone is within its limit, but equal errors of all payloads are unlikely to be a
+    coincidence.
+    """
     if len(checked) < 2:
         return
     off = np.array([check.found[0] - check.declared.mass for _, check in checked])
@@ -328,18 +353,18 @@ def _shared(checked: Sequence[tuple[Scored, Declaration]]) -> Iterator[str]:
     ):
         more = "heavier" if off[0] > 0 else "lighter"
         yield (
-            f"every load is found {np.min(sizes):.2f} to {np.max(sizes):.2f} kg {more} than "
-            "declared: an adapter that nobody declared, or a first load that is not what it says"
+            f"every identified load is {np.min(sizes):.2f} to {np.max(sizes):.2f} kg {more} than "
+            "declared: an adapter is not declared, or the first load is declared wrongly"
         )
 
 
 def _above(model: UnderLoads) -> Iterator[str]:
-    """Loads told of as declared that err much more than as identified."""
+    """Yield warnings for payloads whose declaration causes much larger errors than the estimate."""
     for one in model.loads:
         declared, identified = average(one, "declared"), average(one, "identified")
         if declared and identified and declared > ABOVE * identified:
             yield (
-                f"{one.case.name}, {model.name}: as declared it errs {declared / identified:.2f} "
-                "times as much as identified: drive gains or the declaration may be off, by less "
-                "than its limits"
+                f"{one.case.name}, {model.name}: the error with the declared load is "
+                f"{declared / identified:.2f} times that with the identified load: the drive gains "
+                "or the declaration are possibly wrong, by less than the limits"
             )

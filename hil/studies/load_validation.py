@@ -1,9 +1,10 @@
-"""What models learned on the bare arm are worth under loads, and whether they are those declared.
+"""Study of models with payloads: prediction errors, and a check of the declared payloads.
 
-A load changes gravity, inertia and friction. A model is judged on motions held out, under every
-load, four ways (Fig. 8b of the PINN paper has three): nobody tells it of the load; it is told what
-was declared; that, with drive gains as the other loads tell them; what other motions with the load
-say. The last also checks the declaration.
+A payload changes the gravity, inertia and friction torques of the arm. The models are fitted with
+the first payload only and tested on held-out motions with every payload. Each model is tested with
+four kinds of payload information (Fig. 8b of the PINN paper has three): none, the declared payload,
+the declared payload with drive gains corrected by means of the other payloads, and the payload
+identified from other motions. The identified payload is also compared with the declared payload.
 """
 
 from __future__ import annotations
@@ -46,12 +47,12 @@ from hil.studies.load_tables import TEXT, summary, title, warnings
 from hil.studies.result import Part, StudyResult
 
 HIGHEST_HZ = 50.0
-"""Cut-off where nobody asks for another and the recording is quick enough."""
+"""Default cut-off frequency [Hz]; a lower frequency is used if the sample rate is too low."""
 
 FRICTIONS = ("auto", "model", "offset", "scale")
 
 Failed = tuple[str, HilError]
-"""Name of an estimator, and why there is nothing of it."""
+"""Tuple of an estimator name and the error with which the fit failed."""
 
 
 def _entries(name: str, given: Any) -> tuple[Entry, ...]:
@@ -59,7 +60,7 @@ def _entries(name: str, given: Any) -> tuple[Entry, ...]:
     named = [one.get("estimator") if isinstance(one, Mapping) else one for one in several]
     if not isinstance(given, list | tuple) or not all(isinstance(one, str) for one in named):
         raise SpecError(
-            f"{name} is {given!r}, but must be a list of names, or of mappings with one",
+            f"{name} is {given!r}, but must be a list of names, or of mappings with a name",
             hint=f"{name}: [first, {{estimator: second}}]",
         )
     _names(name, [one for one in several if isinstance(one, str)])
@@ -73,81 +74,95 @@ def _names(name: str, given: Any) -> tuple[str, ...]:
             f"{name} is {given!r}, but must be a list of names", hint=f"{name}: [first, second]"
         )
     if len(set(given)) < len(given):
-        raise SpecError(f"{name} has {given!r}, of which one is there twice")
+        raise SpecError(f"{name} is {given!r}, but must not contain a name twice")
     return tuple(given)
 
 
 class LoadValidation(Study):
-    """Errors under loads: unaware, declared, calibrated and identified; declarations checked."""
+    """Prediction errors of models with payloads, and a check of the declared payloads.
+
+    Each error is computed for four kinds of payload information: unaware, declared, calibrated and
+    identified.
+    """
 
     study: ClassVar[str] = "load-validation"
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
 
     estimators: tuple[Entry, ...] = parameter(
         ("rigid-hysteresis",), _entries,
-        doc="Fitted to the first load; the first of them checks the declarations. Names, or "
-        "mappings with parameters as in `fit` of a spec.",
+        doc="Estimators to fit with the first load: names, or mappings with parameters as in `fit` "
+        "of a spec. The first estimator checks the declarations.",
     )  # fmt: skip
     models: tuple[str, ...] = parameter(
         (), _names,
-        doc="Folders of fitted models to take in their place; of a run, relative to it.",
+        doc="Folders of fitted models to use instead of `estimators`; a folder of the run is "
+        "relative to the run directory.",
     )  # fmt: skip
     hold_out: int | None = parameter(
         None, whole, at_least=1, optional=True,
-        doc="How many motions are judged at a time, by models fitted to the others; by default a "
-        "quarter of them, or those that `models` of the run have not seen.",
+        doc="Number of motions held out at a time; the models are fitted to the other motions. By "
+        "default a quarter of the motions, or those that `models` of the run were not fitted to.",
     )  # fmt: skip
     friction: Friction | Literal["auto"] = parameter(
         "auto", choice, FRICTIONS,
-        doc="What of its friction may be another under a load, as in `estimate_payload`.",
+        doc="Friction parameters that can change with the load, as in `estimate_payload`.",
     )  # fmt: skip
     false_alarm: float = parameter(
         FALSE_ALARM, number, above=0.0, at_most=0.5,
-        doc="Probability with which a correct declaration may be called wrong.",
+        doc="Maximum probability of contradicting a correct declaration.",
     )  # fmt: skip
     cutoff_hz: float | None = parameter(
         None, number, above=0.0, optional=True,
-        doc="Of the zero-phase Butterworth filter of order 5 for what is judged; by default 50 Hz, "
-        "or as high as the recording allows. Fits filter as they always do.",
+        doc="Cut-off frequency [Hz] of the zero-phase Butterworth filter of order 5 for the "
+        "evaluation; by default 50 Hz, or the highest that the sample rate allows. The filters of "
+        "the fits do not depend on it.",
     )  # fmt: skip
     rate_hz: float = parameter(
         125.0, number, above=0.0,
-        doc="Samples kept per second after filtering to identify loads from.",
+        doc="Sample rate [Hz] after filtering for the identification of the loads.",
     )  # fmt: skip
-    figures: bool = parameter(True, flag, doc="Whether to draw any.")
+    figures: bool = parameter(True, flag, doc="Whether to draw figures.")
 
     def _check_together(self) -> None:
         if not (self.estimators or self.models):
-            raise SpecError("estimators is empty", hint="name at least one, or a fitted model")
+            raise SpecError(
+                "estimators is empty", hint="name at least one estimator, or a fitted model"
+            )
 
     def extras(self) -> Mapping[str, str]:
-        """What its estimators need."""
+        """Return the optional dependencies (extras) of the estimators."""
         fitted = () if self.models else self.estimators
         return {key: why for one in fitted for key, why in estimator_of(one).extras().items()}
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what it cannot do without: three trajectories, and drive gains."""
+        """Return the required data: at least three trajectories, and drive gains."""
         return NEEDS
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
-        """Tables, figures and sentences; an estimator that fails is told, and costs no other.
+        """Return the tables, figures and summary sentences of the study.
+
+        A failed estimator is reported in the warnings and does not affect the other estimators.
 
         Raises:
-            FitError: There are too few trajectories or no second load, or every fit fails.
-            DataError: The data cannot be filtered as asked, or a model does not fit them.
-            PluginError, SpecError: There is no such estimator; nothing has been fitted.
+            FitError: There are too few trajectories, there is no second payload, or every fit
+                fails.
+            DataError: The data cannot be filtered with the selected cut-off frequency, or a model
+                does not match the data.
+            PluginError, SpecError: An estimator does not exist; in this case, no model has been
+                fitted.
         """
         return self.told(*self.found(dataset, robot, progress))
 
     def found(
         self, dataset: Dataset, robot: RobotModel, progress: Progress = silent
     ) -> tuple[tuple[UnderLoads, ...], tuple[Failed, ...]]:
-        """What every model is worth, in the order asked for, and which there are not.
+        """Return the results of the models in the requested order, and the models that failed.
 
-        The first that there is checks the declarations.
+        The first model that is fitted successfully checks the declared payloads.
 
         Raises:
-            FitError, DataError, PluginError, SpecError: As `run`.
+            FitError, DataError, PluginError, SpecError: The study fails for one of the reasons
+                listed for `run`.
         """
         of = recorded(dataset, robot, self._cutoff(dataset), self.rate_hz)
         every = self._candidates(dataset, of, robot)
@@ -184,7 +199,7 @@ class LoadValidation(Study):
         return min(HIGHEST_HZ, highest_cutoff(data, self.rate_hz))
 
     def told(self, found: Sequence[UnderLoads], failed: Sequence[Failed]) -> StudyResult:
-        """The same as tables, figures and sentences."""
+        """Return the model results `found` as tables, figures and summary sentences."""
         figures = tables.figures(found) if self.figures else ()
         checks = (tables.declarations(found[0]), *tables.identified(found[0]))
         shown = (*checks, tables.errors(found))
@@ -200,7 +215,7 @@ class LoadValidation(Study):
         )
 
     def _judged(self, one: Candidate, fold: Fold, of: Recorded) -> tuple[str, tuple[Scored, ...]]:
-        """The protocol of a fold's model, and what it is worth."""
+        """Return the protocol of the model for a fold, and the results of this fold."""
         model, cases = one.fitted(fold), load_cases(of, fold)
         scale = of.bare.scale
         return model.protocol, judged(model, cases, scale, self.friction, self.false_alarm)

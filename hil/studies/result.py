@@ -1,8 +1,8 @@
-"""What a study finds, in a form that knows neither HTML nor files: tables, figures and sentences.
+"""Result of a study: tables, figures and summary sentences, independent of HTML and file formats.
 
-Everything survives a trip through JSON (`to_dict`, `from_dict`); a NaN becomes null and comes back
-as NaN. Studies are plug-ins, so `faults_of` says what keeps a result from being shown. The last
-functions are the numbers and words that studies put into tables.
+Study results can be converted to JSON and back (`to_dict`, `from_dict`); NaN is stored as null and
+read back as NaN. Studies are plug-ins, so the function `faults_of` checks whether a result can be
+displayed. Further functions of the module format numbers and texts for tables.
 """
 
 from __future__ import annotations
@@ -22,15 +22,17 @@ Value = str | float | int | None
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table whose first column names the row.
+    """Table of a study, whose first column contains the row names.
 
     Attributes:
-        key: Short and stable, e.g. `table-2`; names the file it is exported to.
-        title: Says what is in it, with units.
-        columns: Headings.
-        rows: As many values as columns each; None where there is no number.
-        note: Small print below.
-        decimals: Of every number that is not whole; by default as many as suit its column.
+        key: Short stable identifier of the table, such as `table-2`; also the name of the exported
+            file.
+        title: Title of the table with the units of its values.
+        columns: Column headings.
+        rows: Rows of the table with one value per column; None stands for a missing number.
+        note: Explanatory text below the table.
+        decimals: Number of decimals of every number that is not an integer; None selects the number
+            of decimals per column.
     """
 
     key: str
@@ -41,7 +43,7 @@ class Table:
     decimals: int | None = None
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook."""
+        """Return the table as HTML for a notebook."""
 
         def told(value: Value) -> str:
             if isinstance(value, float) and self.decimals is not None:
@@ -58,13 +60,14 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What was found under one protocol.
+    """Results of a study under one protocol.
 
     Attributes:
         title: Heading.
-        protocol: `honest`, or how it departs from that; empty for parts about no model.
-        text: Paragraphs for a reader who has not read the paper.
-        tables, figures: In reading order.
+        protocol: `honest`, or a description of how the evaluation departs from the honest protocol;
+            empty for a part that evaluates no model.
+        text: Paragraphs that explain the results to a reader who has not read the paper.
+        tables, figures: Tables and figures in reading order.
     """
 
     title: str
@@ -76,16 +79,16 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class StudyResult:
-    """Everything a study found.
+    """Complete result of a study.
 
     Attributes:
-        study: Name it is registered under.
+        study: Name under which the study is registered.
         title: Heading.
-        summary: What a reader should take away, one sentence each, numbers included.
-        parts: In reading order.
-        parameters: What it was asked for.
-        seconds: Wall time.
-        warnings: What was left out or replaced, and why.
+        summary: Main conclusions of the study with numbers, one sentence each.
+        parts: Parts of the result in reading order.
+        parameters: Parameters with which the study was executed.
+        seconds: Wall-clock time of the study [s].
+        warnings: Texts about omitted or replaced items, with the reason.
     """
 
     study: str
@@ -100,12 +103,16 @@ class StudyResult:
         return f"<StudyResult {self.study}: {len(self.parts)} parts, {self.seconds:.0f} s>"
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook: what to take away; its tables show themselves."""
+        """Return the summary as HTML for a notebook; the tables are displayed separately."""
         facts = {"study": self.study, "parts": ", ".join(part.title for part in self.parts)}
         return card("Study", self.title, facts, notes=(*self.summary, *self.warnings))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form, but for arrays and NaN; `hil.core.json_value` converts those."""
+        """Return the result as a dictionary for JSON.
+
+        Arrays and NaN remain unchanged in the dictionary; `hil.core.json_value` converts them to
+        JSON values.
+        """
         return {
             "study": self.study,
             "title": self.title,
@@ -118,10 +125,10 @@ class StudyResult:
 
     @staticmethod
     def from_dict(raw: Mapping[str, Any]) -> StudyResult:
-        """Inverse of `to_dict`, from JSON as well.
+        """Create a study result from the output of `to_dict` or from JSON.
 
         Raises:
-            KeyError, TypeError, ValueError: Something is missing or garbled.
+            KeyError, TypeError, ValueError: A field of the result is missing or invalid.
         """
         return StudyResult(
             study=str(raw["study"]),
@@ -166,7 +173,7 @@ def _table(raw: Mapping[str, Any]) -> Table:
 
 
 def faults_of(result: StudyResult) -> list[str]:
-    """What keeps a result from being shown, in words; empty when it is sound."""
+    """Return the faults that prevent the display of a result; empty if it can be displayed."""
     return [f"{part.title}: {fault}" for part in result.parts for fault in _of_part(part)]
 
 
@@ -200,36 +207,36 @@ def _of_curve(curve: Curve) -> Iterator[str]:
 
 
 def joint_titles(n: int) -> tuple[str, ...]:
-    """J1 to Jn."""
+    """Return the joint titles from J1 to Jn."""
     return tuple(f"J{j + 1}" for j in range(n))
 
 
 def values(numbers: FloatArray | Sequence[float]) -> tuple[Value, ...]:
-    """Numbers for a table; None where there is none."""
+    """Return numbers as table values; None replaces NaN and infinity."""
     return tuple(value(float(number)) for number in numbers)
 
 
 def value(number: float) -> float | None:
-    """A number for a table; None for NaN."""
+    """Return a number as a table value; None replaces NaN and infinity."""
     return number if np.isfinite(number) else None
 
 
 def mean_of(per_joint: FloatArray) -> float:
-    """Mean over the joints it is known for; NaN without any."""
+    """Return the mean over the joints that have a finite value; NaN if no joint has one."""
     known = per_joint[np.isfinite(per_joint)]
     return float(np.mean(known)) if len(known) else float("nan")
 
 
 def with_mean(per_joint: FloatArray) -> tuple[Value, ...]:
-    """The joints, and their mean."""
+    """Return the table values of all joints, followed by the mean of the joints."""
     return values([*per_joint.tolist(), mean_of(per_joint)])
 
 
 def listed(items: Sequence[str]) -> str:
-    """`a, b and c`."""
+    """Return the items as a phrase such as `a, b and c`."""
     return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else list(items))
 
 
 def layout_name(layout: Sequence[int]) -> str:
-    """`4-20-20-10-1`."""
+    """Return the layer sizes of a network as a text such as `4-20-20-10-1`."""
     return "-".join(str(units) for units in layout)

@@ -1,7 +1,8 @@
-"""What a separation study takes from a run: its dwells, the noise in them, and who is paired.
+"""Data of the separation study: usable dwells of a run, their noise, and pairs of dwells.
 
-`recording_of` leaves out what cannot be used and says so. `by_sample` splits the samples as the
-paper does, `by_pose` gives the same shares of whole poses.
+The function `recording_of` excludes unusable dwells and adds a note for each reason. The function
+`by_sample` splits the samples at random, as in the static paper. The function `by_pose` splits
+whole poses with the same shares as `by_sample`.
 """
 
 from __future__ import annotations
@@ -26,23 +27,26 @@ from hil.dynamics import RobotModel
 from hil.estimators import STILL_RAD, Needs, require_robot, scatter
 
 NEEDS = Needs({"poses": 4})
-"""Two to fit on and two to judge on; what each model needs it states itself."""
+"""Required data: at least two poses for training and two poses for testing.
+
+Each model states its further data requirements itself.
+"""
 
 DWELL = "dwell_number"
 
 ROW = "row_number"
-"""Columns by which rows are found again after a split."""
+"""The columns `DWELL` and `ROW` identify dwells and rows after a split."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A run as a separation study sees it.
+    """Usable dwells of a run for a separation study.
 
     Attributes:
-        whole: All of it, moves included.
-        dwells: Settled dwells of finite samples, with their row and dwell numbers as columns.
+        whole: All data of the run, including the moves between dwells.
+        dwells: Settled dwells with finite samples; the row and dwell numbers are stored as columns.
         robot: Model of the arm.
-        notes: What was left out, and what else is not as it should be.
+        notes: Notes on excluded dwells and other limitations of the data.
     """
 
     whole: Dataset
@@ -52,10 +56,10 @@ class Recording:
 
 
 def recording_of(whole: Dataset, robot: RobotModel) -> Recording:
-    """The dwells of a run that can be used.
+    """Return the usable dwells of a run.
 
     Raises:
-        FitError: There are none, too few poses, or the model is of another robot.
+        FitError: There are no dwells or too few poses, or the data are from a different robot.
     """
     require_robot(whole, robot)
     every = dwells_of(whole)
@@ -64,19 +68,19 @@ def recording_of(whole: Dataset, robot: RobotModel) -> Recording:
     NEEDS.require(poses=poses)
     unsettled = sum(c.kind == "dwell" and not c.settled for c in whole.conditions)
     if unsettled:
-        notes.append(f"{unsettled} dwells that never came to rest are left out")
+        notes.append(f"{unsettled} dwells that did not settle are omitted")
     notes += [*_short(dwells), *_still(dwells)]
     return Recording(whole, numbered(dwells), robot, tuple(notes))
 
 
 def _finite(dwells: Dataset) -> tuple[Dataset, list[str]]:
-    """The dwells all of whose samples are numbers."""
+    """Return the dwells with finite samples only, and a note on the dwells that were excluded."""
     sound = np.isfinite(dwells["q"]).all(axis=1) & np.isfinite(dwells["effort"]).all(axis=1)
     bad = set(dwells.series_index()[~sound].tolist())
     if not bad:
         return dwells, []
     kept = {id(c) for number, c in enumerate(dwells.conditions) if number not in bad}
-    note = f"{len(bad)} dwells hold NaN or infinite positions or efforts and are left out"
+    note = f"{len(bad)} dwells contain NaN or infinite positions or efforts and are omitted"
     return dwells.select(lambda condition: id(condition) in kept), [note]
 
 
@@ -87,39 +91,45 @@ def _short(dwells: Dataset) -> list[str]:
         return []
     return [
         f"{len(short)} of {len(counts)} dwells have fewer than {SAMPLES_PER_DWELL} samples (the "
-        f"shortest {short.min()}); each is used as it is"
+        f"shortest {short.min()}); they are used nevertheless"
     ]
 
 
 def _still(dwells: Dataset) -> list[str]:
     span = np.ptp(dwells["q"], axis=0)
     still = [name for name, s in zip(dwells.joint_names, span, strict=True) if s < STILL_RAD]
-    return [f"{', '.join(still)} never moved: nothing is learned about it"] if still else []
+    return [f"{', '.join(still)} never moved and cannot be identified"] if still else []
 
 
 def numbered(dwells: Dataset) -> Dataset:
-    """With the numbers of rows and dwells as columns."""
+    """Return the dwells with row and dwell numbers as columns."""
     number = dwells.series_index().astype(np.float64)
     return dwells.with_columns(**{ROW: np.arange(len(dwells), dtype=np.float64), DWELL: number})
 
 
 def rows_in(part: Dataset) -> IntArray:
-    """(N,) which rows of the numbered dataset a part of it holds."""
+    """Return the (N,) row numbers, in the complete dataset, of the rows in a part."""
     return np.asarray(part[ROW].astype(np.int64))
 
 
 def dwells_in(part: Dataset) -> IntArray:
-    """(N,) the dwell of the numbered dataset that each row belongs to."""
+    """Return the (N,) dwell numbers, in the complete dataset, of the rows in a part."""
     return np.asarray(part[DWELL].astype(np.int64))
 
 
 def pose_key(condition: Conditions) -> Hashable:
-    """The same for dwells of one pose with one load; dwells without a pose stand alone."""
+    """Return a key of a dwell that is equal for dwells of the same pose with the same payload.
+
+    A dwell without a pose gets a unique key.
+    """
     return group_of(condition, "pose") or condition.id, condition.load
 
 
 def one_per_pose(dwells: Dataset, seed: int) -> Dataset:
-    """One dwell of every pose, drawn: the paper's program visits each pose once."""
+    """Return one randomly selected dwell for every pose.
+
+    The measuring program of the static paper also visits each pose once.
+    """
     of_pose: dict[Hashable, list[int]] = {}
     for number, condition in enumerate(dwells.conditions):
         of_pose.setdefault(pose_key(condition), []).append(number)
@@ -130,7 +140,10 @@ def one_per_pose(dwells: Dataset, seed: int) -> Dataset:
 
 
 def pairs(conditions: tuple[Conditions, ...]) -> list[tuple[list[int], list[int]]]:
-    """Per pose approached from both sides: its dwells from below, and those from above."""
+    """Return dwell numbers per pose: dwells approached from below, and dwells from above.
+
+    Poses that were approached from only one direction are omitted.
+    """
     sides: dict[Hashable, tuple[list[int], list[int]]] = {}
     for number, condition in enumerate(conditions):
         if condition.approach:
@@ -140,41 +153,44 @@ def pairs(conditions: tuple[Conditions, ...]) -> list[tuple[list[int], list[int]
 
 
 def dwell_means(dwells: Dataset, values: FloatArray) -> FloatArray:
-    """(S, n) mean of values (N, n) over each dwell."""
+    """Return the (S, n) mean of values (N, n) over each dwell."""
     return series_means(dwells, values)
 
 
 def sample_noise(dwells: Dataset) -> FloatArray:
-    """(n,) scatter of a single sample about the mean of its dwell, in effort units."""
+    """Return the (n,) standard deviation of samples around their dwell mean, in effort units."""
     freedom = np.maximum(np.diff(dwells.offsets) - 1.0, 0.0)
     total = max(float(np.sum(freedom)), 1.0)
     return np.asarray(np.sqrt(freedom @ scatter(dwells) / total))
 
 
 def mean_noise(dwells: Dataset) -> FloatArray:
-    """(n,) what that scatter leaves in the mean of a dwell."""
+    """Return the (n,) standard deviation of dwell means caused by the noise of the samples."""
     count = np.diff(dwells.offsets)
     return np.asarray(sample_noise(dwells) * np.sqrt(np.mean(1.0 / np.maximum(count, 1))))
 
 
 def bare(dwells: Dataset) -> Dataset:
-    """Without what no estimator asks for: it travels to every process."""
+    """Return the dwells with only those columns that the estimators use.
+
+    The omission of other columns reduces the amount of data sent to other processes.
+    """
     kept = ("t", "q", "qd", "effort", "temperature", ROW, DWELL)
     columns = {name: dwells[name] for name in kept if name in dwells.columns}
     return replace(dwells, columns=columns)
 
 
 SHARES = (0.75, 0.20, 0.05)
-"""To train, test and validate on."""
+"""Shares of the poses or samples for training, testing and validation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Partition:
-    """Rows to train, test and validate on.
+    """Row numbers of the training, test and validation parts.
 
     Attributes:
-        training: The training rows as a dataset.
-        train, test, validation: (·,) row numbers.
+        training: Training rows as a `Dataset`.
+        train, test, validation: (·,) row numbers of each part.
     """
 
     training: Dataset
@@ -184,16 +200,19 @@ class Partition:
 
 
 def by_sample(data: Dataset, seed: int) -> Partition:
-    """75/20/5 % of the samples, as the paper: ten samples of a pose land on all sides."""
+    """Split the samples at random into 75/20/5 %, as in the static paper.
+
+    The ten samples of one pose therefore belong to different parts of the split.
+    """
     training, test, validation = paper_sample_split(data, SHARES, seed)
     return Partition(training, rows_in(training), rows_in(test), rows_in(validation))
 
 
 def by_pose(data: Dataset, seed: int) -> Partition:
-    """The same shares of whole poses.
+    """Split whole poses at random into 75/20/5 %.
 
     Raises:
-        DataError: There are too few poses.
+        DataError: There are too few poses for the split.
     """
     outer = split(data, "pose", SHARES[1], seed)
     inner = split(outer.train, "pose", SHARES[2] / (1 - SHARES[1]), seed)

@@ -1,7 +1,7 @@
-"""Figures of a separation study: those of the paper, and the same under the honest protocol.
+"""Figures of the separation study: the figures of the static paper, under two protocols.
 
-`paper_figures` and `honest_figures` choose what is shown; the functions below them make panels of
-curves, with no more points than a page shows.
+The functions `paper_figures` and `honest_figures` select the figures of each protocol. The other
+functions create panels of curves and limit the number of points that a page displays.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from hil.studies.separation_tables import WORDS
 
 
 def joint_angles(whole: Dataset) -> Figure:
-    """Fig. 3: where each joint was, over time."""
+    """Return Fig. 3: joint angles over time."""
     rows = spaced(len(whole), MOST)
     t = whole["t"][rows] - whole["t"][0]
     panels = [
         Panel(title, "time [s]", "angle [rad]", (line("measured", t, whole["q"][rows, j]),))
         for j, title in enumerate(joint_titles(whole.n_joints))
     ]
-    caption = f"The whole program, moves included: {len(rows)} of {len(whole)} samples."
+    caption = f"The whole program including moves: {len(rows)} of {len(whole)} samples."
     return Figure("fig-3", "Joint angles over time", caption, tuple(panels), 3)
 
 
 def parameters(key: str, model: StaticLinear, caption: str) -> Figure:
-    """Fig. 4: parameters of joint 2's gravity, with 95 % intervals clustered by pose."""
+    """Return Fig. 4: gravity parameters of joint 2 with 95 % intervals clustered by pose."""
     chosen = [k for k, name in enumerate(model.parameter_names_) if name.startswith("joint2.phi")]
-    # Paper form: the joint by itself, in the unit of the effort.
+    # Convert to the form of the static paper: parameters in the unit of the effort.
     scale = model.torque_scale_[1]
     values = model.coefficients_[chosen] / scale
     reach = np.diff(model.interval(0.95)[chosen], axis=1)[:, 0] / 2 / scale
@@ -44,7 +44,7 @@ def parameters(key: str, model: StaticLinear, caption: str) -> Figure:
     unit = "A" if model.effort_kind_ == "current" else "N·m"
     curve = Curve("WLS", names, floats(values), "bars", floats(reach))
     panel = Panel("θ₂ with 95 % intervals", "parameter", f"value [{unit}]", (curve,))
-    return Figure(key, "Parameters of joint 2's gravity by WLS", f"{caption} {GIVEN}", (panel,), 1)
+    return Figure(key, "Gravity parameters of joint 2 by WLS", f"{caption} {GIVEN}", (panel,), 1)
 
 
 def series(
@@ -55,10 +55,11 @@ def series(
     joints: Sequence[int],
     axes: tuple[str, str],
 ) -> Figure:
-    """Fig. 5 and 8: the first rows of efforts (N, n) by name.
+    """Return Fig. 5 or 8: the first rows of several efforts (N, n), each with its name.
 
-    What was measured, the first curve, is a line; a single estimate beside it is points, several
-    are lines, because points would hide each other.
+    The first curve of the figure is the measured effort, drawn as a line. A single estimated effort
+    is drawn as points. Several estimated efforts are drawn as lines, because points would hide each
+    other.
     """
     style: Style = "line" if len(curves) > 2 else "points"
     rows = np.arange(min(IN_A_ROW, *(len(values) for values in curves.values())))
@@ -79,7 +80,10 @@ def regression(
     sets: Mapping[str, tuple[FloatArray, FloatArray]],
     axes: tuple[str, str],
 ) -> Figure:
-    """Fig. 7: estimated over measured (N,), one panel per set, with R of all of its points."""
+    """Return Fig. 7: estimated over measured effort (N,), with one panel per set of rows.
+
+    Each panel shows the correlation coefficient R of all points of its set.
+    """
     panels = []
     for name, (measured, estimated) in sets.items():
         known = np.isfinite(measured) & np.isfinite(estimated)
@@ -99,7 +103,7 @@ def clouds(
     ys: Mapping[str, FloatArray],
     axes: tuple[str, str],
 ) -> Figure:
-    """One panel per joint with clouds (P, n) over x (P, n)."""
+    """Return a figure with one panel per joint that shows point clouds (P, n) over x (P, n)."""
     rows = spaced(len(x), MOST // max(len(ys), 1))
     panels = [
         Panel(name, *axes, tuple(points(words, x[rows, j], y[rows, j]) for words, y in ys.items()))
@@ -109,41 +113,48 @@ def clouds(
 
 
 def line(name: str, x: FloatArray | IntArray, y: FloatArray, style: Style = "line") -> Curve:
-    """A curve of arrays."""
+    """Return a curve from arrays of x and y values."""
     return Curve(name, floats(x), floats(y), style)
 
 
 def points(name: str, x: FloatArray, y: FloatArray) -> Curve:
-    """A cloud of points."""
+    """Return a point cloud from arrays of x and y values."""
     return line(name, x, y, "points")
 
 
 def identity() -> Curve:
-    """The line on which estimates would be right."""
+    """Return the curve y = x, on which estimated and measured values are equal."""
     return Curve("estimated = measured", style="identity")
 
 
 def floats(values: FloatArray | IntArray) -> tuple[float, ...]:
-    """Plain numbers, with as many digits as anybody can see."""
+    """Return values as floats that are rounded to six significant digits."""
     return tuple(float(f"{number:.6g}") for number in np.asarray(values).tolist())
 
 
 def spaced(count: int, most: int) -> IntArray:
-    """At most so many of so many rows, evenly spaced."""
+    """Return at most `most` evenly spaced row numbers out of `count` rows."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
 
 
 OURS = ("hysteresis", "network-approach", "coulomb", "network", "gravity", "wls")
-"""What is shown as the model in the honest figures: the first of them that was fitted."""
+"""Keys of methods in order of preference; honest figures show the first method that was fitted."""
 
 IN_A_ROW = 80
-"""Of efforts that jump from row to row, more cannot be told apart."""
+"""Maximum number of rows of a drawn series.
 
-ROW = f"The first {IN_A_ROW} in order of time."
+A reader cannot distinguish more rows, because efforts vary strongly from row to row.
+"""
+
+ROW = f"The figure shows the first {IN_A_ROW} in order of time."
 
 
 def paper_figures(run: PaperRun, joint: int) -> tuple[Figure, ...]:
-    """Figures 4, 5, 7 and 8; `joint` from 0 beside joint 1 in Fig. 5, and in Fig. 7."""
+    """Return figures 4, 5, 7 and 8 of the static paper.
+
+    The argument `joint` (counted from 0) selects the joint of Fig. 7, and of Fig. 5 in addition to
+    joint 1.
+    """
     current, test, train = run.data["effort"], run.partition.test, run.partition.train
     whole = run.wls.estimate + run.separated().friction
     axes = ("test sample, in order of time", "current [A]")
@@ -154,17 +165,17 @@ def paper_figures(run: PaperRun, joint: int) -> tuple[Figure, ...]:
     }
     modelled = {"measured": current[test], "WLS and networks": whole[test]}
     return (
-        parameters("fig-4", run.wls.model, "Of eq. 20: gravity over K₁, in amperes. The six "
-                   "columns of φ₂ repeat each other, so single parameters are uncertain where "
-                   "their sum is not."),
-        series("fig-5", "Measured and estimated currents", "Five methods on eq. 20, the measured "
-               "current among their inputs.", {"measured": current[test], **linear},
+        parameters("fig-4", run.wls.model, "Parameters of eq. 20: gravity divided by K₁, in "
+                   "amperes. The six columns of φ₂ are nearly dependent, so that single parameters "
+                   "are uncertain although their sum is not."),
+        series("fig-5", "Measured and estimated currents", "Five methods on eq. 20, with the "
+               "measured current among their inputs.", {"measured": current[test], **linear},
                sorted({0, joint}), axes),
-        regression("fig-7", f"Regression plots of J{joint + 1}", "Gravity and friction together; "
-                   "each point is a sample, and each pose is in both panels.", fitted,
+        regression("fig-7", f"Regression plots of J{joint + 1}", "Sum of gravity and friction; "
+                   "each point is a sample, and each pose occurs in both panels.", fitted,
                    ("measured [A]", "estimated [A]")),
         series("fig-8", "Performance of the static model", "Measured and modelled currents of "
-               "test samples, whose poses were trained on.", modelled,
+               "test samples, whose poses are among the training poses.", modelled,
                range(run.data.n_joints), axes),
     )  # fmt: skip
 
@@ -172,9 +183,9 @@ def paper_figures(run: PaperRun, joint: int) -> tuple[Figure, ...]:
 def honest_figures(
     recording: Recording, run: HonestRun, both: Bands | None, joint: int, weights: Weights
 ) -> tuple[Figure, ...]:
-    """The same with whole poses held out, and what the approach leaves in the current."""
+    """Return figures 4, 5, 7 and 8 for held-out poses, and the friction band over the load."""
     unit = run.dwells.effort_unit
-    effort, axes = f"effort [{unit}]", "dwell held out, in order of time"
+    effort, axes = f"effort [{unit}]", "held-out dwell, in order of time"
     found = _parameters(recording, weights)
     linear = {
         WORDS[method]: run.methods[method].effort for method in METHODS if method in run.methods
@@ -182,8 +193,7 @@ def honest_figures(
     if linear:
         found.append(
             series("fig-5h", "Measured and estimated efforts", "The five methods without the "
-                   "measured current, at poses they have not seen. Their lines lie on each "
-                   f"other. {ROW}",
+                   f"measured current, at held-out poses. Their lines coincide. {ROW}",
                    {"measured": run.measured, **linear}, sorted({0, joint}), (axes, effort))
         )  # fmt: skip
     best = next((key for key in OURS if key in run.methods), next(iter(run.methods)))
@@ -191,11 +201,11 @@ def honest_figures(
     sets = {one.method.words: (run.measured[:, joint], one.effort[:, joint]) for one in chosen}
     modelled = {"measured": run.measured, "modelled": run.methods[best].effort}
     found += [
-        regression("fig-7h", f"Regression plots of J{joint + 1}", "Poses not seen; each point "
+        regression("fig-7h", f"Regression plots of J{joint + 1}", "Held-out poses; each point "
                    "is the mean of a dwell.", sets,
                    (f"measured [{unit}]", f"estimated [{unit}]")),
         series("fig-8h", "Performance of the static model", "Measured and modelled means of "
-               f"dwells at poses not seen; the model: {run.methods[best].method.words}. {ROW}",
+               f"dwells at held-out poses. Model: {run.methods[best].method.words}. {ROW}",
                modelled, range(run.dwells.n_joints), (axes, effort)),
     ]  # fmt: skip
     if both is not None:
@@ -204,13 +214,19 @@ def honest_figures(
 
 
 def _parameters(recording: Recording, weights: Weights) -> list[Figure]:
-    """Fig. 4 without the current among the regressors; nothing for arms eq. 15 is not for."""
+    """Return Fig. 4 for fits without the motor current among the regressors.
+
+    The result is empty if eq. 15 does not apply to the arm.
+    """
     model = StaticLinear(method="wls", form="paper", weights=weights)
     try:
         model.fit(recording.dwells, recording.robot)
     except HilError:
         return []
-    caption = "From the mean of every dwell, both approaches, nothing measured among the inputs."
+    caption = (
+        "Fitted to the mean of every dwell, from both approach directions, without measured "
+        "current among the inputs."
+    )
     return [parameters("fig-4h", model, caption)]
 
 
@@ -222,7 +238,7 @@ def _band(both: Bands) -> Figure:
     return clouds(
         "fig-band",
         "Half the difference of both approaches over the load",
-        "Stick friction of a pose, measured and as predicted for poses not seen.",
+        "Static friction of a pose, measured, and predicted for held-out poses.",
         both.load,
         shown,
         (f"load [{both.unit}]", f"half difference [{both.unit}]"),
@@ -230,10 +246,10 @@ def _band(both: Bands) -> Figure:
 
 
 MOST = 700
-"""Points of a panel, all curves together."""
+"""Maximum number of points in a panel, summed over all curves."""
 
 GIVEN = (
-    "The intervals hold for the scatter between poses. What all poses share (friction that "
-    "differs by side or load, gains that are off) is not in them: on the mock with all effects "
-    "they hold about half of the true values."
+    "The intervals include the scatter between poses only. They do not include errors common to "
+    "all poses (friction that depends on approach direction or load, wrong drive gains): on the "
+    "mock with all effects, they contain about half of the true values."
 )

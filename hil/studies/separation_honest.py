@@ -1,11 +1,12 @@
-"""The honest protocol, computed: every method predicts the dwells of poses it has not seen.
+"""Honest protocol of the separation study: every method predicts the dwells of held-out poses.
 
-All methods see the same dwells and are judged on the same poses. Whatever is tuned is tuned inside
-the training poses: the epoch at which networks stop and their weight decay by poses held out from
-the training, the strength of the hysteresis model's correction by folds of its own.
+All methods use the same training dwells and are tested on the same poses. Hyperparameters are tuned
+on the training poses only. Networks determine the stopping epoch and the weight decay by means of
+poses that they hold out of the training data. The hysteresis model determines the strength of its
+correction by an inner cross-validation.
 
-Poses approached from both sides need no model (`bands`): the mean of the two sides is gravity, half
-their difference stick friction.
+Gravity and friction of a pose that was approached from both directions follow without a model
+(`bands`): the mean of the two efforts is gravity, and half their difference is static friction.
 """
 
 from __future__ import annotations
@@ -32,15 +33,16 @@ from hil.studies.tasks import Task
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A way to predict the current of a dwell.
+    """Method for predicting the effort of a dwell.
 
     Attributes:
-        key: In the spec.
-        words: In tables.
-        estimator: Name it is registered under.
-        params: Of the estimator.
-        grid: Further parameters to choose among by the poses a network holds out.
-        cost: How long a fit takes compared with others.
+        key: Key of the method in the spec.
+        words: Name of the method in the tables of results.
+        estimator: Name under which the estimator is registered.
+        params: Parameters of the estimator.
+        grid: Candidate parameter sets, of which the set with the smallest error on inner held-out
+            poses is selected.
+        cost: Duration of a fit relative to the other methods.
     """
 
     key: str
@@ -51,23 +53,23 @@ class Method:
     cost: float = 1.0
 
     def candidates(self) -> tuple[Method, ...]:
-        """One for each entry of the grid."""
+        """Return the methods that result from the candidate parameter sets of the grid."""
         return tuple(
             replace(self, params={**self.params, **chosen}, grid=(chosen,)) for chosen in self.grid
         )
 
 
 WEIGHT_DECAYS = (0.0, 1e-4, 1e-3)
-"""Candidates for the networks."""
+"""Candidate values for the weight decay of the networks."""
 
 NETWORK_COST = 10.0
-"""Seconds that six networks take until they stop, about."""
+"""Approximate training time of six networks with early stopping [s]."""
 
 
 def known_methods(
     *, alpha: float, weights: str, layout: tuple[int, ...], epochs: int, seed: int
 ) -> dict[str, Method]:
-    """All methods by key, gravity alone first and ours last."""
+    """Return all methods by key, from gravity only to the hysteresis model of this project."""
     linear = {"alpha": alpha}
     decays = tuple({"weight_decay": decay} for decay in WEIGHT_DECAYS)
     network = {"epochs": epochs, "seed": seed}
@@ -100,17 +102,18 @@ METHOD_KEYS = tuple(known_methods(alpha=0.001, weights="paper", layout=(4, 1), e
 
 
 class HonestProtocol:
-    """Prepares the fits of the protocol, and gathers what they predict.
+    """Data splits and fits of the honest protocol.
 
     Args:
-        recording: The run.
-        methods: To compare.
-        folds: Each pose is held out in one of them.
-        hold_out_percent: A single split with this share of the poses held out instead.
-        seed: Of the split.
+        recording: Usable dwells of the run.
+        methods: Methods that the protocol compares.
+        folds: Number of cross-validation folds; each pose is held out in exactly one fold.
+        hold_out_percent: Share of the poses [%] that a single split holds out; None selects
+            cross-validation.
+        seed: Random seed for splitting the poses.
 
     Raises:
-        FitError: There are too few poses.
+        FitError: There are too few poses for the folds.
     """
 
     def __init__(
@@ -134,7 +137,7 @@ class HonestProtocol:
             raise FitError(error.message, hint=error.hint) from error
 
     def tasks(self) -> list[Task]:
-        """Every fit, in the order `gather` wants their results."""
+        """Return one task per fit, in the order in which `gather` reads the results."""
         return [
             task
             for method in self._methods
@@ -143,10 +146,10 @@ class HonestProtocol:
         ]
 
     def gather(self, outcomes: Sequence[Outcome]) -> HonestRun:
-        """The results of `tasks`, put together.
+        """Combine the results of the tasks returned by `tasks`.
 
         Raises:
-            FitError: No method could be fitted.
+            FitError: None of the methods could be fitted.
         """
         dwells, count = self._recording.dwells, len(self._splits)
         remaining = iter(outcomes)
@@ -157,13 +160,13 @@ class HonestProtocol:
             size = len(method.grid)
             found = [best_of(list(islice(remaining, size))) for _ in range(count)]
             if failed := _failure(found):
-                notes.append(f"{method.words} ({method.estimator}) is left out: {failed}")
+                notes.append(f"{method.words} ({method.estimator}) is omitted: {failed}")
             else:
                 methods[method.key] = _joined(method, found, order)
         if not methods:
             raise FitError(
                 f"no method could be fitted: {notes[0]}",
-                hint="see the reasons of the others on the page; hil doctor tells what is missing",
+                hint="the page lists the other reasons; hil doctor lists missing packages",
             )
         measured = dwell_means(dwells, dwells["effort"])[numbers[order]]
         common = np.ones(measured.shape, dtype=bool)
@@ -173,8 +176,8 @@ class HonestProtocol:
         if unsaid:
             notes.append(
                 f"{unsaid} of {len(common)} held-out dwells are not compared in every joint, "
-                "because a method says nothing about them (mostly the first of a program, of "
-                "which nobody knows how it was approached)"
+                "because a method has no prediction for them (mostly the first dwell of a program, "
+                "whose approach direction is unknown)"
             )
         noise = mean_noise(dwells)
         return HonestRun(
@@ -183,11 +186,11 @@ class HonestProtocol:
 
 
 LEAST_SAID = 0.5
-"""A method that predicts less of the dwells than this would leave nothing to compare."""
+"""Minimum share of the dwells that a method must predict to be compared with other methods."""
 
 
 def _failure(found: Sequence[Outcome]) -> str:
-    """Why a method cannot be compared; empty when it can."""
+    """Return the reason why a method cannot be compared; empty if it can be compared."""
     failed = next((outcome.failed for outcome in found if outcome.failed), "")
     if failed:
         return failed
@@ -205,22 +208,22 @@ def _joined(method: Method, found: Sequence[Outcome], order: IntArray) -> Judged
 
 
 def _numbers(part: Split) -> IntArray:
-    """(S,) numbers of the dwells a split holds out."""
+    """Return the (S,) numbers of the dwells that a split holds out."""
     return np.asarray(dwells_in(part.test)[part.test.offsets[:-1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What one fit of one method says about the dwells it was not fitted to.
+    """Prediction of held-out dwells by one fit of one method.
 
     Attributes:
-        effort: (S, n) mean over each dwell; NaN where the model cannot say.
-        std: (S, n) one standard deviation of that, NaN where the model cannot say.
-        own_error: What the model itself found on poses it held out within its training, mean over
-            the joints; of its training where it held out none.
-        seconds: The fit took, of one core.
-        failed: Why there is nothing, in words; empty when there is.
-        chosen: The candidate of the method's grid, in words; empty with only one.
+        effort: (S, n) predicted mean effort of each dwell; NaN if the model makes no prediction.
+        std: (S, n) standard deviation of the prediction; NaN if the model does not predict it.
+        own_error: Mean over the joints of the error that the model determined on poses held out of
+            its training data, or on the training data if the model holds out none.
+        seconds: CPU time of the fit on one core [s].
+        failed: Reason why the fit failed; empty if the fit succeeded.
+        chosen: Parameter set selected from the grid, as text; empty if the grid has only one set.
     """
 
     effort: FloatArray
@@ -232,7 +235,10 @@ class Outcome:
 
 
 def fit_tasks(method: Method, train: Dataset, test: Dataset, robot: RobotModel) -> list[Task]:
-    """Fit every candidate of a method to some dwells and predict others."""
+    """Return the tasks of a method, one task per candidate parameter set.
+
+    Each task fits one candidate to the training dwells and predicts the effort of the test dwells.
+    """
     return [
         Task(partial(_fitted, candidate, train, test, robot), candidate.cost)
         for candidate in method.candidates()
@@ -250,9 +256,9 @@ def _fitted(method: Method, train: Dataset, test: Dataset, robot: RobotModel) ->
         predicted = model.predict(test)
     except HilError as error:
         return Outcome(nothing, nothing, failed=error.message)
-    # Estimators are plug-ins: one that breaks down must not cost the hour the others took.
+    # Estimators are plug-ins: an unexpected error of one must not discard the results of others.
     except Exception as error:
-        words = f"it broke down: {type(error).__name__}: {error}"
+        words = f"it failed with {type(error).__name__}: {error}"
         return Outcome(nothing, nothing, failed=words)
     effort = dwell_means(test, np.where(predicted.valid, predicted.effort, np.nan))
     std = dwell_means(test, np.array(predicted.std))
@@ -261,7 +267,7 @@ def _fitted(method: Method, train: Dataset, test: Dataset, robot: RobotModel) ->
 
 
 def best_of(outcomes: Sequence[Outcome]) -> Outcome:
-    """The candidate with the least error of its own; the time of all of them."""
+    """Return the outcome with the smallest inner error, with the total time of all candidates."""
     best = min(outcomes, key=lambda outcome: outcome.own_error)
     return replace(best, seconds=sum(outcome.seconds for outcome in outcomes))
 
@@ -269,22 +275,22 @@ def best_of(outcomes: Sequence[Outcome]) -> Outcome:
 Measure: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 
 WITHIN = 1.96
-"""Standard deviations that 95 % of normal errors stay within."""
+"""Half-width of the 95 % interval of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HonestRun:
-    """Everything found under the honest protocol.
+    """Results of the honest protocol.
 
     Attributes:
         dwells: All dwells of the run.
-        judged_dwells: (S,) numbers of those that were held out once.
-        measured: (S, n) mean effort of each.
-        common: (S, n) where every method says something; only there they are compared.
-        methods: By key, those that could be fitted.
-        folds: How many splits there were.
-        noise: (n,) what the samples' scatter leaves in the mean of a dwell.
-        notes: What was left out, and why.
+        judged_dwells: (S,) numbers of the held-out dwells.
+        measured: (S, n) mean effort of each held-out dwell.
+        common: (S, n) mask of values that every method predicts; only these values are compared.
+        methods: Predictions of the methods that could be fitted, by method key.
+        folds: Number of splits of the poses.
+        noise: (n,) standard deviation of a dwell mean caused by the noise of the samples.
+        notes: Texts that name omitted methods or dwells, with the reason.
     """
 
     dwells: Dataset
@@ -297,15 +303,18 @@ class HonestRun:
     notes: tuple[str, ...]
 
     def rmse(self, key: str) -> FloatArray:
-        """(n,) error of a method."""
+        """Return the (n,) RMSE of a method on the held-out dwells."""
         return self._per_joint(lambda a, b: rmse(a, b), self.methods[key].effort)
 
     def correlation(self, key: str) -> FloatArray:
-        """(n,) R of predicted and measured."""
+        """Return the (n,) correlation coefficient R of predicted and measured effort."""
         return self._per_joint(lambda a, b: correlation(a, b), self.methods[key].effort)
 
     def coverage(self, key: str) -> FloatArray:
-        """(n,) share of errors within ±1.96 std; NaN for methods that tell none."""
+        """Return the (n,) share of errors that are within ±1.96 predicted standard deviations.
+
+        The share is NaN for a method that predicts no standard deviation.
+        """
         one = self.methods[key]
         inside = np.abs(self.measured - one.effort) <= WITHIN * one.std
         told = self.common & np.isfinite(one.std)
@@ -323,14 +332,15 @@ class HonestRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """One method on dwells it was not fitted to; rows as `HonestRun.measured`.
+    """Predictions of one method for held-out dwells, in the row order of `HonestRun.measured`.
 
     Attributes:
-        method: Which one.
-        effort: (S, n) predicted.
-        std: (S, n) one standard deviation, NaN where the method cannot say.
-        seconds: Mean time of a fit, tuning included, on one core.
-        chosen: What was chosen by nested validation, fold by fold, in words.
+        method: The method.
+        effort: (S, n) predicted effort.
+        std: (S, n) standard deviation of the prediction; NaN if the method does not predict it.
+        seconds: Mean CPU time of a fit on one core, including tuning [s].
+        chosen: Text that lists the parameter sets selected by nested validation, and the number of
+            folds that selected each set.
     """
 
     method: Method
@@ -341,16 +351,19 @@ class Judged:
 
 
 GRAVITY = ("gravity", "gravity-paper", "wls", "ls", "ridge")
-"""What stands for a model without friction: the first of them that was fitted."""
+"""Keys of the methods without friction; the first fitted method represents pure gravity."""
 
 FRICTION = ("coulomb", "network-approach", "hysteresis")
-"""Methods that know the approach, ours last."""
+"""Keys of the methods that use the approach direction; the last method is that of this project."""
 
 SHORT = {"coulomb": "Fc·sign", "network-approach": "network", "hysteresis": "ours"}
 
 
 def bands(run: HonestRun) -> Bands | None:
-    """What poses approached from both sides tell; None when there are none."""
+    """Return measured and predicted effort of poses approached from both directions.
+
+    None is returned if no pose was approached from both directions.
+    """
     conditions = [run.dwells.conditions[number] for number in run.judged_dwells]
     both = pairs(tuple(conditions))
     if not both:
@@ -362,13 +375,14 @@ def bands(run: HonestRun) -> Bands | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bands:
-    """Measured and predicted, pose by pose.
+    """Measured and predicted effort per pose, for poses approached from both directions.
 
     Attributes:
-        measured: Of the recording.
-        predicted: By the methods, by key; of poses they have not seen.
-        common: (P, n) where both approaches are compared.
-        unit: Of the effort.
+        measured: Mean and half difference of the measured efforts.
+        predicted: Mean and half difference of the efforts predicted for held-out poses, by method
+            key.
+        common: (P, n) mask of values for which every method predicts both approach directions.
+        unit: Unit of the effort.
     """
 
     measured: Sides
@@ -378,17 +392,17 @@ class Bands:
 
     @property
     def load(self) -> FloatArray:
-        """(P, n) what the drive holds beside friction."""
+        """(P, n) magnitude of the effort without friction: mean of the two approach directions."""
         return np.abs(self.measured.mean)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sides:
-    """Mean and half difference of both approaches; (P, n) each.
+    """Mean and half difference of the efforts of the two approach directions, (P, n) each.
 
     Attributes:
-        mean: Of the dwells from below and from above.
-        half: Half of below less above.
+        mean: Mean of the efforts approached from below and from above.
+        half: Half of the effort difference, below minus above.
     """
 
     mean: FloatArray
@@ -402,10 +416,10 @@ def _sides(values: FloatArray, both: list[tuple[list[int], list[int]]]) -> Sides
 
 
 def gravity_of(found: Bands) -> str | None:
-    """The method that stands for gravity alone."""
+    """Return the key of the method that represents pure gravity; None if it was not fitted."""
     return next((key for key in GRAVITY if key in found.predicted), None)
 
 
 def friction_of(found: Bands) -> list[str]:
-    """Methods that predict a band at all."""
+    """Return the keys of fitted methods whose prediction depends on the approach direction."""
     return [key for key in FRICTION if key in found.predicted]

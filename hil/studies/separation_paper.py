@@ -1,9 +1,9 @@
-"""The static paper's protocol, computed: eq. 20, split by sample, networks on what it leaves.
+"""Protocol of the static paper: eq. 20, split by sample, and networks fitted to the residual.
 
-Everything here departs from an honest evaluation on purpose, to be compared with the paper: the
-measured current is among the inputs, and each pose is on both sides of the split. `PaperProtocol`
-fits the five linear methods, lists the trainings of the networks as tasks, and gathers them into a
-`PaperRun`, which knows the errors.
+This protocol departs from an honest evaluation on purpose, for comparison with the paper: the
+measured current is an input of the models, and samples of each pose are both in the training and in
+the test part. `PaperProtocol` fits the five linear methods, lists the training tasks of the
+networks, and combines the results into a `PaperRun`, which computes the errors.
 """
 
 from __future__ import annotations
@@ -34,27 +34,31 @@ from hil.studies.tasks import Task
 METHODS: tuple[Method, ...] = ("ls", "ridge", "lasso", "elastic-net", "wls")
 
 INPUTS = slice(1, 5)
-"""q2…q5, what the paper's networks see."""
+"""Joints q2…q5, whose angles are the inputs of the networks in the static paper."""
 
 TIMED = 3
-"""Fits of which the fastest is reported: the first one also loads libraries."""
+"""Number of times that a fit is repeated; the duration of the fastest repetition is reported.
+
+The first repetition also loads libraries and is therefore slower.
+"""
 
 Layout = tuple[int, ...]
 
 
 class PaperProtocol:
-    """Prepares the fits and trainings of the protocol, and gathers what they find.
+    """Linear fits and network trainings of the protocol of the static paper.
 
     Args:
-        recording: The run.
-        layouts: Of networks to compare.
-        layout: The one shown in detail.
-        settings: Of the trainings.
-        alpha: Weight of the penalties.
-        weights: Of WLS.
+        recording: Usable dwells of the run.
+        layouts: Network layouts that are compared.
+        layout: Network layout that Table 4 and the figures show.
+        settings: Settings of the network trainings.
+        alpha: Weight of the penalty in ridge, LASSO and elastic-net regression.
+        weights: Weighting of the rows in the WLS fit.
 
     Raises:
-        FitError: The data do not allow it, or the robot is not one eq. 15 is for.
+        FitError: The data are not sufficient, or eq. 15 of the static paper does not apply to the
+            robot.
     """
 
     def __init__(
@@ -85,7 +89,7 @@ class PaperProtocol:
         self._targets = ((pose, held_out), (sample, dealt), (pose, dealt))
 
     def tasks(self) -> list[Task]:
-        """Every training, in the order `gather` wants their results."""
+        """Return one task per network training, in the order in which `gather` expects them."""
         wanted = [(layout, self._partition, self._residual) for layout in self._layouts]
         wanted += [(self._layout, *target) for target in self._targets]
         joints = range(self._data.n_joints)
@@ -98,7 +102,7 @@ class PaperProtocol:
         ]
 
     def gather(self, results: Sequence[NetworkResult]) -> PaperRun:
-        """The results of `tasks`, put together."""
+        """Combine the results of the tasks returned by `tasks`."""
         n = self._data.n_joints
         each = [gathered(results[start : start + n]) for start in range(0, len(results), n)]
         networks = dict(zip(self._layouts, each, strict=False))
@@ -130,7 +134,10 @@ class PaperProtocol:
         return Target(self._inputs, residual[rows], self._dwell[rows])
 
     def _dealt(self, residual: FloatArray) -> FloatArray:
-        """What is left of each dwell goes to another one, drawn; its samples scatter as before."""
+        """Exchange the mean residuals of the dwells at random between the dwells.
+
+        The exchange does not change the scatter of the samples within each dwell.
+        """
         means = dwell_means(self._data, residual)
         order = np.random.default_rng([self._settings.seed, 2]).permutation(len(means))
         moved: FloatArray = residual + (means[order] - means)[self._dwell]
@@ -139,12 +146,12 @@ class PaperProtocol:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearFit:
-    """One of the five methods on eq. 20.
+    """Fit of one of the five linear methods to eq. 20.
 
     Attributes:
-        model: Fitted to the training rows.
-        estimate: (N, n) current of every row.
-        seconds: The fit took, of one core.
+        model: Linear model fitted to the training rows.
+        estimate: (N, n) estimated current of every row.
+        seconds: CPU time of the fit on one core [s].
     """
 
     model: StaticLinear
@@ -154,12 +161,13 @@ class LinearFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Separated:
-    """Gravity by WLS and friction by networks, under one split and for one target.
+    """Model with gravity from WLS and friction from networks, for one split and one target.
 
     Attributes:
-        partition: Which rows were for what.
-        residual: (N, n) what WLS leaves, or what stands in its place.
-        friction: (N, n) of the networks.
+        partition: Row numbers of the training, test and validation parts.
+        residual: (N, n) residual of the WLS fit, or values that replace this residual in a
+            comparison.
+        friction: (N, n) friction predicted by the networks.
     """
 
     partition: Partition
@@ -167,29 +175,30 @@ class Separated:
     friction: FloatArray
 
     def rmse(self, rows: IntArray) -> FloatArray:
-        """(n,) of the whole model at some rows."""
+        """Return the (n,) RMSE of the complete model at the given rows."""
         return rmse(self.residual[rows], self.friction[rows])
 
     @property
     def train(self) -> FloatArray:
-        """(n,) RMSE at the training rows."""
+        """(n,) RMSE of the complete model at the training rows."""
         return self.rmse(self.partition.train)
 
     @property
     def test(self) -> FloatArray:
-        """(n,) RMSE at the test rows."""
+        """(n,) RMSE of the complete model at the test rows."""
         return self.rmse(self.partition.test)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Networks:
-    """The networks of all joints, trained.
+    """Trained networks of all joints.
 
     Attributes:
-        outputs: (S, n) at every dwell.
-        seconds: (n,) each took of one core.
-        epochs: (n,) done until no step lowered the cost any more, or all there were.
-        weights: Number of weights of each.
+        outputs: (S, n) outputs of the networks at every dwell.
+        seconds: (n,) CPU time of each training on one core [s].
+        epochs: (n,) number of epochs until no step reduced the cost any further, or the maximum
+            number.
+        weights: Number of weights of each network.
     """
 
     outputs: FloatArray
@@ -200,17 +209,18 @@ class Networks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperRun:
-    """Everything found under the paper's protocol.
+    """Results under the protocol of the static paper.
 
     Attributes:
-        data: One dwell per pose.
-        dwell: (N,) dwell of each row.
-        partition: By sample.
-        linear: The five methods, by name.
-        networks: By layout.
-        layout: The one that figures and Table 4 show.
-        poses_held_out: The same with whole poses held out.
-        dealt: Friction dealt out among the poses, split by sample and by pose.
+        data: Dataset with one dwell per pose.
+        dwell: (N,) dwell number of each row.
+        partition: Split of the rows by sample.
+        linear: Fits of the five linear methods, by method name.
+        networks: Trained networks, by network layout.
+        layout: Network layout that Table 4 and the figures show.
+        poses_held_out: Results if whole poses are held out.
+        dealt: Results if the friction values are exchanged at random among the poses, split by
+            sample and by pose.
     """
 
     data: Dataset
@@ -224,25 +234,29 @@ class PaperRun:
 
     @property
     def wls(self) -> LinearFit:
-        """What the networks build on."""
+        """WLS fit whose residual is the target of the networks."""
         return self.linear["wls"]
 
     @property
     def residual(self) -> FloatArray:
-        """(N, n) what WLS leaves."""
+        """(N, n) residual of WLS."""
         return np.asarray(self.data["effort"] - self.wls.estimate)
 
     def separated(self, layout: Layout | None = None) -> Separated:
-        """WLS and the networks of a layout."""
+        """Return the WLS fit combined with the networks of a layout; by default that of Table 4."""
         friction = self.networks[layout or self.layout].outputs[self.dwell]
         return Separated(self.partition, self.residual, friction)
 
     def linear_rmse(self, method: Method, rows: IntArray) -> FloatArray:
-        """(n,) of one of the five methods."""
+        """Return the (n,) RMSE of one of the five linear methods at the given rows."""
         return rmse(self.data["effort"][rows], self.linear[method].estimate[rows])
 
     def means_rmse(self, rows: IntArray | None = None) -> FloatArray:
-        """(n,) RMSE of the errors averaged over what `rows` (None: all) hold of each dwell."""
+        """Return the (n,) RMSE of the errors averaged over each dwell.
+
+        Args:
+            rows: Row numbers to evaluate; None selects all rows.
+        """
         one = self.separated()
         chosen = np.arange(len(self.dwell)) if rows is None else rows
         error = (one.residual - one.friction)[chosen]
@@ -253,16 +267,19 @@ class PaperRun:
         return rmse(means, np.zeros_like(means))
 
     def residual_noise(self) -> FloatArray:
-        """(n,) scatter of WLS's residual within dwells: no function of the pose gets below it."""
+        """Return the (n,) scatter of the WLS residual within the dwells.
+
+        The scatter within the dwells is the lower bound of the error of any function of the pose.
+        """
         return sample_noise(self.data.with_columns(effort=self.residual))
 
     def beyond_noise(self) -> FloatArray:
-        """(n,) √(test² − noise²): about the error against what a dwell is on average."""
+        """Return (n,) √(test² − noise²), approximately the RMSE relative to the dwell mean."""
         square = self.separated().test ** 2 - self.residual_noise() ** 2
         return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
     def explained(self, joint: int) -> float:
-        """Share of the variance of a joint's test currents that WLS on eq. 20 takes up."""
+        """Return the share of the variance of test currents that WLS on eq. 20 explains."""
         rows = self.partition.test
         variance = float(np.var(self.data["effort"][rows, joint]))
         left = float(self.linear_rmse("wls", rows)[joint]) ** 2
@@ -270,17 +287,20 @@ class PaperRun:
 
 
 S_PER_PRODUCT = 3e-11
-"""Seconds per number multiplied in a training, about: the longest trainings begin first."""
+"""Approximate time per multiplication in a network training [s].
+
+The estimated training time is used to start the longest trainings first.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
-    """How the networks of the paper protocol are trained: no early stop, as in the paper.
+    """Training settings of the networks of the static paper, without early stopping.
 
     Attributes:
-        epochs: Of Levenberg–Marquardt.
-        seed: Of the start weights.
-        linear_first: Whether the first hidden layer is linear, as the paper's text has it.
+        epochs: Number of Levenberg–Marquardt epochs.
+        seed: Random seed of the initial weights of the networks.
+        linear_first: Whether the first hidden layer is linear, as in the text of the static paper.
     """
 
     epochs: int
@@ -288,7 +308,7 @@ class NetworkSettings:
     linear_first: bool
 
     def mlp(self, layers: Sequence[int]) -> Mlp:
-        """A network of some layout."""
+        """Return an untrained network with the given layers."""
         hidden = ["tanh"] * (len(layers) - 2)
         if self.linear_first and hidden:
             hidden[0] = "linear"
@@ -297,12 +317,12 @@ class NetworkSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """What six networks are to learn.
+    """Training data of the networks of all joints.
 
     Attributes:
-        inputs: (S, 4) q2…q5 of every dwell, means of its samples.
-        values: (N, n) what the linear model leaves of the training samples.
-        dwell: (N,) dwell of each.
+        inputs: (S, 4) mean angles of the joints q2…q5 in every dwell.
+        values: (N, n) residual of the linear model at the training samples.
+        dwell: (N,) dwell number of each training sample.
     """
 
     inputs: FloatArray
@@ -312,7 +332,14 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkResult:
-    """One network, trained: (S,) outputs at every dwell, seconds of one core, epochs, weights."""
+    """Result of the training of one network.
+
+    Attributes:
+        outputs: (S,) outputs of the network at every dwell.
+        seconds: CPU time of the training on one core [s].
+        epochs: Number of training epochs.
+        weights: Number of weights of the network.
+    """
 
     outputs: FloatArray
     seconds: float
@@ -323,7 +350,7 @@ class NetworkResult:
 def network_tasks(
     target: Target, layers: Sequence[int], settings: NetworkSettings, joints: Sequence[int]
 ) -> list[Task]:
-    """One training per joint."""
+    """Return one training task per joint."""
     mlp = settings.mlp(layers)
     rows = len(target.inputs)
     cost = S_PER_PRODUCT * settings.epochs * rows * mlp.n_weights * min(rows, mlp.n_weights)
@@ -333,7 +360,7 @@ def network_tasks(
 def _trained(mlp: Mlp, target: Target, joint: int, settings: NetworkSettings) -> NetworkResult:
     begin = time.process_time()
     with warnings.catch_warnings():
-        # A joint that never moved is among the study's own warnings.
+        # The study itself warns about a joint that never moved.
         warnings.simplefilter("ignore", ConstantInputWarning)
         trained = train(
             mlp, target.inputs[target.dwell], target.values[:, joint], groups=target.dwell,
@@ -345,7 +372,7 @@ def _trained(mlp: Mlp, target: Target, joint: int, settings: NetworkSettings) ->
 
 
 def gathered(found: Sequence[NetworkResult]) -> Networks:
-    """The results of `network_tasks`, put together."""
+    """Combine the results of the tasks returned by `network_tasks`."""
     outputs = np.stack([one.outputs for one in found], axis=1)
     seconds = np.array([one.seconds for one in found])
     epochs = np.array([one.epochs for one in found])

@@ -1,8 +1,9 @@
-"""Tables and texts of a separation study: the recording, the paper's protocol, the honest one.
+"""Tables and texts of the separation study: data, protocol of the static paper, honest protocol.
 
-The paper prints RMSE in amperes (`TABLE_2`, `TABLE_3`, `TABLE_4`); its numbers stand beside ours.
-Texts say what is wrong with the paper's protocol and why the honest one is harder, with the numbers
-of the run at hand.
+The static paper prints RMSE in amperes (`TABLE_2`, `TABLE_3`, `TABLE_4`); the tables of the study
+show the printed values beside the computed values. The texts explain the weaknesses of the protocol
+of the static paper and the difficulty of the honest protocol, with the numbers of the evaluated
+run.
 """
 
 from __future__ import annotations
@@ -38,20 +39,20 @@ from hil.studies.separation_paper import METHODS, Layout, PaperRun
 
 
 def data_part(recording: Recording, figures: tuple[Figure, ...]) -> Part:
-    """What was recorded."""
+    """Return the part of the result that describes the recorded data."""
     dwells = recording.dwells
     poses = len({pose_key(condition) for condition in dwells.conditions})
-    text = f"{len(dwells.conditions)} dwells of {poses} poses, {len(dwells)} samples at rest."
+    text = f"{len(dwells.conditions)} dwells at {poses} poses, {len(dwells)} static samples."
     table = Table(
         "table-noise",
-        f"Noise of the {dwells.effort_kind} at rest, standard deviation [{dwells.effort_unit}]",
-        ("of", *joint_titles(dwells.n_joints), "mean"),
+        f"Noise of the {dwells.effort_kind} in dwells, standard deviation [{dwells.effort_unit}]",
+        ("noise of", *joint_titles(dwells.n_joints), "mean"),
         (
             ("a sample about the mean of its dwell", *with_mean(sample_noise(dwells))),
             ("the mean of a dwell", *with_mean(mean_noise(dwells))),
         ),
-        "From the scatter of the samples within their dwell; an error that all samples of a dwell "
-        "share does not show in it.",
+        "Computed from the scatter of the samples within their dwell; errors common to all samples "
+        "of a dwell are not included.",
     )
     return Part("The recording", "", (text,), (table,), figures)
 
@@ -60,29 +61,30 @@ PROTOCOL = f"{PAPER_PROTOCOL}, and samples of every pose are on both sides of th
 
 
 def paper_part(run: PaperRun, figures: tuple[Figure, ...], epochs: int) -> Part:
-    """Everything found under the paper's protocol."""
+    """Return the part of the result with the tables and figures under the static-paper protocol."""
     text = (_what(run, epochs), _target_inside(run), _leak(run), _noise(run), _choice(run))
     return Part("As in the paper", PROTOCOL, text, paper_tables(run, epochs), figures)
 
 
 def _what(run: PaperRun, epochs: int) -> str:
     return (
-        f"What the paper does. Every pose is visited once (from which side is drawn): "
+        f"Method of the paper. Every pose is visited once (approach direction drawn at random): "
         f"{len(run.data.conditions)} poses, {len(run.data)} samples. The current i of a joint is "
-        "regressed on gravity, i²·sign(i) and 1 (eq. 20); what that leaves, networks learn from "
-        f"the angles of joints 2 to 5, one per joint, in up to {epochs} epochs. Of all samples "
-        "75 % train, 20 % test, and 5 % are set aside. The samples of a dwell differ by noise of "
-        "the encoders alone, so the networks see the mean angles of the dwell: its samples then "
-        "are one row of more weight, which gives the same network in less time."
+        "regressed on gravity, i²·sign(i) and 1 (eq. 20). One network per joint learns the "
+        f"residual from the angles of joints 2 to 5, in up to {epochs} epochs. Of all samples, "
+        "75 % are for training, 20 % for testing, and 5 % are set aside. The angles of a dwell "
+        "differ by encoder noise only. The networks therefore use the mean angles of each dwell: "
+        "its samples become one row with a higher weight, which yields the same network in less "
+        "time."
     )
 
 
 def _target_inside(run: PaperRun) -> str:
     return (
-        "What is wrong with it, first: the current is predicted from the current. i²·sign(i) is "
-        "known only to who has measured i already. Joint 1 shows it: no gravity acts on it, its "
-        f"current at rest is friction and nothing else, and yet {100 * run.explained(0):.0f} % of "
-        "its variance are “explained”."
+        "First problem: the current is predicted from the current, because i²·sign(i) is known "
+        "only if i has been measured. Joint 1 shows this: it carries no gravity load, so that its "
+        f"static current is friction only, but {100 * run.explained(0):.0f} % of its variance are "
+        "“explained”."
     )
 
 
@@ -91,25 +93,25 @@ def _leak(run: PaperRun) -> str:
     sample, held_out = mean_of(run.separated().test), mean_of(run.poses_held_out.test)
     dealt = mean_of(run.dealt[0].test)
     return (
-        "Second: the test is no test. Three quarters of the samples of each pose are trained on; "
-        "the others ask for what has just been seen, and a network of "
-        f"{weights} weights has {poses} numbers to remember. The table “What the split hides” "
-        f"shows it twice. At poses that are really held out the error is {held_out:.3f} A instead "
-        f"of {sample:.4f} A. And with friction dealt out among the poses at random, which nobody "
-        f"can predict from the pose, the split by sample still gives {dealt:.4f} A."
+        "Second problem: training and test samples are not independent. Three quarters of the "
+        "samples of each pose are training samples, and a network with "
+        f"{weights} weights has to memorise only {poses} values. The table “Effect of the split” "
+        f"shows this twice. At held-out poses, the error is {held_out:.3f} A instead of "
+        f"{sample:.4f} A. With friction values permuted at random among the poses, which cannot be "
+        f"predicted from the pose, the split by sample still yields {dealt:.4f} A."
     )
 
 
 NETWORK_A = 0.01
-"""The networks of Table 4 reach this at every test but one."""
+"""RMSE [A] that the networks of Table 4 achieve in all tests except one."""
 
 
 def _noise(run: PaperRun) -> str:
     of_current, left = mean_of(sample_noise(run.data)), mean_of(run.residual_noise())
     found = {
         "per test sample": run.separated().test,
-        "per test sample with the noise taken off": run.beyond_noise(),
-        "per dwell, all its samples averaged": run.means_rmse(),
+        "per test sample without its noise": run.beyond_noise(),
+        "per dwell, mean of all its samples": run.means_rmse(),
     }
     told = "; ".join(
         f"{words} {mean_of(error):.4f} A ({int(np.sum(error <= NETWORK_A))} of {len(error)} "
@@ -117,16 +119,16 @@ def _noise(run: PaperRun) -> str:
         for words, error in found.items()
     )
     return (
-        f"What the numbers can be: one sample carries {of_current:.4f} A of noise (mean over the "
-        "joints). The regressor takes up some of it, because it holds the same sample; "
-        f"{left:.4f} A are left, and no model of the pose can be better than that per sample. "
-        f"The paper's networks reach {NETWORK_A} A; these reach: {told}."
+        f"Lower bound of the errors: one sample has {of_current:.4f} A of noise (mean over the "
+        "joints). The regression explains a part of it, because the regressor contains the same "
+        f"sample; {left:.4f} A remain, and no model of the pose can reach a smaller error per "
+        f"sample. The networks of the paper reach {NETWORK_A} A; the networks here reach: {told}."
     )
 
 
 def _choice(run: PaperRun) -> str:
     best = min(run.networks, key=lambda layout: mean_of(run.separated(layout).test))
-    return f"By its test error, Table 3 chooses {layout_name(best)}."
+    return f"The layout with the smallest test error in Table 3 is {layout_name(best)}."
 
 
 WORDS: dict[Method, str] = {
@@ -141,23 +143,23 @@ SUMMARISED: tuple[Method, ...] = ("ls", "wls", "lasso", "elastic-net")
 
 
 def paper_summary(run: PaperRun) -> list[str]:
-    """What a reader should take away."""
+    """Return the main conclusions under the protocol of the static paper."""
     linear = ", ".join(
         f"{WORDS[method]} {mean_of(run.linear_rmse(method, run.partition.test)):.3f}"
         for method in SUMMARISED
     )
     return [
         f"Paper protocol (test RMSE in A, mean over the joints): {linear}; with networks "
-        f"{mean_of(run.separated().test):.4f} per sample, {mean_of(run.beyond_noise()):.4f} with "
-        f"the noise of single samples taken off.",
-        f"The same networks give {mean_of(run.dealt[0].test):.4f} A when friction is dealt out "
-        f"among the poses at random, and {mean_of(run.poses_held_out.test):.3f} A at poses that "
-        "are really held out: the split by sample measures memory.",
+        f"{mean_of(run.separated().test):.4f} per sample, {mean_of(run.beyond_noise()):.4f} "
+        f"without the noise of single samples.",
+        f"The same networks have an error of {mean_of(run.dealt[0].test):.4f} A if the friction is "
+        f"permuted at random among the poses, and of {mean_of(run.poses_held_out.test):.3f} A at "
+        "held-out poses: the split by sample measures how well they memorise.",
     ]
 
 
 def paper_tables(run: PaperRun, epochs: int) -> tuple[Table, ...]:
-    """All of them."""
+    """Return all tables under the protocol of the static paper."""
     return _table_2(run), _table_3(run, epochs), _table_4(run), _split(run)
 
 
@@ -174,8 +176,8 @@ def _table_2(run: PaperRun) -> Table:
             "fit [s]",
         ),
         tuple(_linear_row(run, method) for method in METHODS),
-        "Fastest of three fits of all joints on one core, standard errors included where the "
-        "method has them.",
+        "Fit time: fastest of three fits of all joints on one core, including standard errors if "
+        "the method has them.",
     )
 
 
@@ -210,9 +212,9 @@ def _table_3(run: PaperRun, epochs: int) -> Table:
             "training [s]",
         ),
         tuple(_layout_row(run, layout) for layout in run.networks),
-        f"At most {epochs} epochs of Levenberg–Marquardt; a network is done when no step lowers "
-        "its error any more. Epochs are means over the joints, seconds of one core for all of "
-        "them. Errors are of single samples: what their noise alone costs is in Table 4.",
+        f"At most {epochs} epochs of Levenberg–Marquardt; a training ends earlier if no step "
+        "reduces the error. Epochs: mean over the joints. Training: time on one core for all "
+        "joints. Errors refer to single samples; Table 4 shows the share of their noise.",
     )
 
 
@@ -226,7 +228,7 @@ TABLE_3: dict[tuple[int, ...], tuple[float, float]] = {
     (4, 10, 10, 10, 1): (0.0550, 0.0521),
     (4, 20, 20, 10, 1): (0.0084, 0.0073),
 }
-"""By layout: training and test."""
+"""Training and test RMSE [A] as printed in the static paper, by network layout."""
 
 
 def _layout_row(run: PaperRun, layout: Layout) -> tuple[Value, ...]:
@@ -246,7 +248,7 @@ TABLE_4 = (
     (0.006, 0.007),
     (0.007, 0.007),
 )
-"""By joint: training and test."""
+"""Training and test RMSE [A] as printed in the static paper, by joint."""
 
 TABLE_4_LAYOUT = (4, 20, 20, 10, 1)
 
@@ -271,10 +273,11 @@ def _table_4(run: PaperRun) -> Table:
         f"Table 4: gravity by WLS and friction by networks {layout_name(run.layout)}, RMSE [A]",
         ("joint", *columns, "train in the paper", "test in the paper"),
         tuple(body),
-        "“noise of a sample” is the scatter of what WLS leaves about the mean of its dwell: no "
-        "function of the pose gets below it. “test without noise” is √(test² − noise²), about the "
-        "error against what the dwell's current is on average. “all samples” holds training "
-        f"samples too. The paper's numbers are of networks {layout_name(TABLE_4_LAYOUT)}.",
+        "“noise of a sample” is the scatter of the WLS residuals about the mean of their dwell: no "
+        "function of the pose has a smaller error. “test without noise” is √(test² − noise²), "
+        "approximately the error relative to the mean current of the dwell. “all samples” includes "
+        "training samples. The numbers of the paper are for networks "
+        f"{layout_name(TABLE_4_LAYOUT)}.",
     )
 
 
@@ -282,16 +285,16 @@ def _split(run: PaperRun) -> Table:
     rows = {
         "samples held out, as in the paper": run.separated(),
         "whole poses held out": run.poses_held_out,
-        "friction dealt out among the poses, samples held out": run.dealt[0],
-        "friction dealt out among the poses, whole poses held out": run.dealt[1],
+        "friction permuted among the poses, samples held out": run.dealt[0],
+        "friction permuted among the poses, whole poses held out": run.dealt[1],
     }
     return Table(
         "table-split",
-        f"What the split hides: WLS and networks {layout_name(run.layout)}, test RMSE [A]",
-        ("what is held out", *joint_titles(run.data.n_joints), "mean"),
+        f"Effect of the split: WLS and networks {layout_name(run.layout)}, test RMSE [A]",
+        ("held out", *joint_titles(run.data.n_joints), "mean"),
         tuple((words, *with_mean(found.test)) for words, found in rows.items()),
-        "Dealt out: what WLS leaves of each dwell is given to another dwell drawn at random, so "
-        "that there is nothing about friction to be learned from the pose.",
+        "Permuted: the WLS residuals of each dwell are assigned to a different dwell at random, so "
+        "that friction cannot be predicted from the pose.",
     )
 
 
@@ -299,14 +302,14 @@ BASELINES = {"gravity": "gravity alone", "coulomb": "Fc·sign(approach)"}
 OURS = "hysteresis"
 
 APPROACH = ("coulomb", "network-approach", OURS)
-"""Methods that know how the arm got to the pose."""
+"""Keys of the methods that use the approach direction of a pose."""
 
 POSE_ONLY = tuple(key for key in METHOD_KEYS if key not in APPROACH)
-NOISE = "noise of a dwell's mean"
+NOISE = "noise of the mean of a dwell"
 
 
 def honest_part(run: HonestRun, both: Bands | None, figures: tuple[Figure, ...]) -> Part:
-    """Everything found under the honest protocol."""
+    """Return the part of the result with the tables and figures under the honest protocol."""
     tables = [_errors(run), _beside(run)]
     if both is not None:
         tables += band_tables(both)
@@ -318,11 +321,11 @@ def _errors(run: HonestRun) -> Table:
     body.append((NOISE, *with_mean(run.noise)))
     return Table(
         "table-honest",
-        f"Mean effort of each dwell of poses not seen, RMSE [{run.dwells.effort_unit}]",
+        f"Mean effort of each dwell at held-out poses, RMSE [{run.dwells.effort_unit}]",
         ("method", *joint_titles(run.dwells.n_joints), "mean"),
         tuple(body),
-        "The last row is what the scatter of the samples leaves in the mean of a dwell: no "
-        "method can be better on average, however much it knows.",
+        "The last row is the standard deviation of the mean of a dwell due to the scatter of its "
+        "samples: no method can have a smaller error on average.",
     )
 
 
@@ -337,92 +340,100 @@ def _beside(run: HonestRun) -> Table:
         body.append((one.method.words, errors[key], *ratios, r, inside, one.seconds, one.chosen))
     return Table(
         "table-honest-more",
-        "Beside the error: how many times less than the baselines, R, and how sure a model is",
+        "Improvement over the baselines, R, and predicted uncertainty",
         ("method", f"RMSE [{run.dwells.effort_unit}]",
-         *(f"times below {BASELINES[key]}" for key in baselines),
+         *(f"{BASELINES[key]} / method" for key in baselines),
          "R", "within ±1.96 std [%]", "fit [s]", "chosen by nested validation (folds)"),
         tuple(body),
-        "RMSE, R and share are means over the joints. A model that knows how wrong it can be has "
-        "95 % of its errors within ±1.96 std. Seconds are of one fit on one core, tuning included.",
+        "RMSE, R and share are means over the joints. “baseline / method” is the ratio of the "
+        "errors. With a correct predicted uncertainty, 95 % of the errors are within ±1.96 std. "
+        "Fit time: one fit on one core, including tuning.",
     )  # fmt: skip
 
 
 def _text(run: HonestRun, both: Bands | None) -> list[str]:
     poses = len({pose_key(condition) for condition in run.dwells.conditions})
     how = (
-        f"in {run.folds} folds each pose is held out once, both approaches of it together"
+        f"each pose is held out in one of {run.folds} folds, together with both its approaches"
         if run.folds > 1
         else f"{len(run.judged_dwells)} dwells of poses drawn at random are held out"
     )
     told = [
-        f"What is asked. The mean effort of each single dwell of {poses} poses, from where the "
-        f"arm is and how it got there, nothing measured of its effort; {how}. All methods are "
-        "fitted to the same dwells and judged on the same. Whatever is tuned, is tuned within the "
-        "training poses: when a network stops and its weight decay, how strong a correction is.",
+        f"Task: predict the mean effort of each dwell at {poses} poses from the pose and the "
+        f"motion into the pose, without any measured effort; {how}. All methods are fitted to the "
+        "same dwells and evaluated on the same dwells. Settings are tuned within the training "
+        "poses: early stopping and weight decay of networks, strength of corrections.",
         _pose_only(run),
         _approach(run),
     ]
     if both is not None and len(both.common) and np.any(both.common):
         told.append(
-            "Poses approached from both sides need no model to separate the two: the mean of both "
-            "dwells is gravity, half their difference is friction. The last tables and figure set "
-            "them against what the models predict for poses they have not seen."
+            "At poses approached from both directions, gravity and friction can be separated "
+            "without a model: the mean of both dwells is gravity, half their difference is "
+            "friction. The last tables and the last figure compare both with the predictions of "
+            "the models for held-out poses."
         )
     return told
 
 
 def _pose_only(run: HonestRun) -> str:
-    """What methods reach that see the angles and nothing of how the arm got there."""
+    """Return the text about methods that use joint angles but not the approach direction."""
     errors = {key: mean_of(run.rmse(key)) for key in run.methods if key in POSE_ONLY}
     told = (
-        "Why it is harder. At rest, a joint's friction is what its last motion left it with; two "
-        "visits to a pose differ by up to twice of it, and no angle tells which one it is."
+        "Difficulty: the static friction of a joint depends on its last motion. Two visits to the "
+        "same pose differ by up to twice the friction, and the joint angles do not determine which "
+        "value applies."
     )
     if errors:
         low, high = min(errors.values()), max(errors.values())
         told += (
-            f" All methods that see the pose and nothing else end up between {low:.4f} and "
-            f"{high:.4f} {run.dwells.effort_unit}, whatever their penalty or motor model"
+            f" All methods that use only the pose have errors between {low:.4f} and "
+            f"{high:.4f} {run.dwells.effort_unit}, independent of penalty and motor model"
         )
-        told += ", the network of the angles among them." if "network" in errors else "."
+        told += ", including the network of the angles." if "network" in errors else "."
     return told
 
 
 def _approach(run: HonestRun) -> str:
-    """What the approach and the path into the pose are worth."""
+    """Return the text about the benefit of the approach direction and of the path to the pose."""
     errors = {key: mean_of(run.rmse(key)) for key in APPROACH if key in run.methods}
     unit = run.dwells.effort_unit
     told = [f"{run.methods[key].method.words} {error:.4f} {unit}" for key, error in errors.items()]
     return (
-        "What helps. The side of the approach tells the sign of friction; how far a joint slid "
-        "back as it stopped, some tenth of a millirad in the measured positions, tells how much "
-        "of it is left. Ours follows that path with a friction state per joint. "
-        + (f"With it: {'; '.join(told)}." if told else "No method that uses it was fitted.")
+        "Solution: the approach direction determines the sign of the friction. The distance that a "
+        "joint slides back as it stops, some tenths of a millirad in the measured positions, "
+        "determines the remaining friction. Our method follows this path with a friction state per "
+        "joint. "
+        + (
+            f"Errors with the approach direction: {'; '.join(told)}."
+            if told
+            else "No method that uses the approach direction was fitted."
+        )
     )
 
 
 def honest_summary(run: HonestRun) -> list[str]:
-    """What a reader should take away."""
+    """Return the main conclusions under the honest protocol."""
     unit = run.dwells.effort_unit
     errors = {key: mean_of(run.rmse(key)) for key in run.methods}
     known = [f"{words} {errors[key]:.4f}" for key, words in BASELINES.items() if key in errors]
     if OURS not in errors:
         best = min(errors, key=lambda key: errors[key])
         return [f"Honest protocol: best is {run.methods[best].method.words}, "
-                f"{errors[best]:.4f} {unit} on poses not seen."]  # fmt: skip
+                f"{errors[best]:.4f} {unit} at held-out poses."]  # fmt: skip
     ours = errors[OURS]
     times = [
         f"{errors[key] / ours:.1f}× below {words}"
         for key, words in BASELINES.items() if key in errors
     ]  # fmt: skip
-    text = f"Honest protocol, poses not seen: friction with memory {ours:.4f} {unit}"
+    text = f"Honest protocol, held-out poses: friction with memory {ours:.4f} {unit}"
     text += f"; {', '.join(known)}" if known else ""
     text += f": {listed(times)}" if times else ""
-    return [f"{text}. The noise of a dwell's mean is {mean_of(run.noise):.4f} {unit}."]
+    return [f"{text}. The noise of the mean of a dwell is {mean_of(run.noise):.4f} {unit}."]
 
 
 def band_tables(found: Bands) -> tuple[Table, ...]:
-    """Gravity and friction band per joint, and how the band grows with the load."""
+    """Return tables of gravity and friction band per joint, and of the band over the load."""
     return _both(found), _over_load(found)
 
 
@@ -432,7 +443,7 @@ def _both(found: Bands) -> Table:
     columns = (
         "joint",
         *(f"mean: {SHORT.get(key, 'gravity')}" for key in means),
-        "band", "its spread",
+        "band", "spread of the band",
         *(f"band: {SHORT[key]}" for key in friction),
         *(f"R: {SHORT[key]}" for key in friction[-1:]),
     )  # fmt: skip
@@ -453,13 +464,13 @@ def _both(found: Bands) -> Table:
         )
     return Table(
         "table-sides",
-        "Both approaches of a pose: RMSE of their mean, and of half their difference, the band "
-        f"[{found.unit}]",
+        "Both approaches of a pose: RMSE of their mean (gravity) and of half their difference "
+        f"(band) [{found.unit}]",
         columns,
         tuple(body),
-        f"{len(found.common)} poses. In the mean of both sides stick friction cancels; half their "
-        "difference is stick friction, measured without any model. “its spread” is its standard "
-        "deviation over the poses: the error of somebody who knows its mean and nothing else.",
+        f"{len(found.common)} poses. Static friction cancels in the mean of both approaches; half "
+        "their difference is the static friction, measured without a model. “spread of the band” "
+        "is its standard deviation over the poses: the error of a constant prediction of its mean.",
     )
 
 
@@ -490,10 +501,10 @@ def _over_load(found: Bands) -> Table:
         body.append(tuple(row))
     return Table(
         "table-load",
-        "Friction band and load: means over the third of the poses with least and with most load "
-        f"[{found.unit}]",
+        "Friction band and load: means over the third of the poses with the smallest and with the "
+        f"largest load [{found.unit}]",
         tuple(columns),
         tuple(body),
-        "Load is what the drive holds in the mean of both sides. Fc·sign(approach) has one band "
-        "for all loads.",
+        "Load: effort of the drive, mean of both approaches. Fc·sign(approach) has one band for "
+        "all loads.",
     )

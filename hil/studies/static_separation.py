@@ -1,9 +1,10 @@
-"""The static friction separation paper: its tables and figures, under its protocol and honestly.
+"""Study of the static friction separation paper: tables and figures under two protocols.
 
-Everything is computed twice from one run: as the paper does (`separation_paper`), labelled so, and
-so that the numbers say how well a current is predicted (`separation_honest`). Both only prepare
-their fits and trainings; all of them are spread over the processes at once, the longest first
-(docs/explanation/static-separation.md).
+All results are computed under two protocols from one run. The module `separation_paper` follows the
+static paper and labels its results accordingly. The module `separation_honest` holds out whole
+poses; its errors show how accurately the models predict the current at new poses. The two protocols
+only prepare their fits and trainings as tasks. The tasks of the two protocols are then distributed
+over the processes together, longest tasks first (docs/explanation/static-separation.md).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ PROTOCOLS = ("paper", "honest")
 
 
 class Shown(NamedTuple):
-    """What came of a protocol: its part, sentences for the summary, and what was left out."""
+    """Part, summary sentences and notes of one protocol."""
 
     part: Part
     summary: list[str]
@@ -45,11 +46,11 @@ class Shown(NamedTuple):
 
 
 Followed: TypeAlias = tuple[list[Task], Callable[[list[Any]], Shown]]
-"""What a protocol has to compute, and how its results are shown."""
+"""Tasks of a protocol, and the function that converts the task results into tables and figures."""
 
 ONE_SIDED = (
-    "no pose was approached from both sides, so gravity and stick friction cannot be told apart "
-    "without a model (excitation: {approach: both})"
+    "no pose was approached from both directions, so that gravity and static friction cannot be "
+    "separated without a model (excitation: {approach: both})"
 )
 
 
@@ -57,10 +58,10 @@ INPUTS = 4
 
 
 def checked_layouts(name: str, given: Any) -> list[list[int]]:
-    """A list of layouts.
+    """Return a validated list of network layouts.
 
     Raises:
-        SpecError: It is none, or one of them is none.
+        SpecError: The value is not a list, or a layout is invalid.
     """
     if isinstance(given, str) or not isinstance(given, Sequence) or not given:
         raise SpecError(f"{name} is {given!r}, but must be a list of layouts")
@@ -68,10 +69,10 @@ def checked_layouts(name: str, given: Any) -> list[list[int]]:
 
 
 def checked_layout(name: str, given: Any) -> list[int]:
-    """Units per layer, four inputs first and one output last.
+    """Return a validated network layout: units per layer, with four inputs and one output.
 
     Raises:
-        SpecError: It is no such list.
+        SpecError: The value is not a list of positive integers with four inputs and one output.
     """
     if isinstance(given, str) or not isinstance(given, Sequence):
         raise SpecError(f"{name} is {given!r}, but must be a list of whole numbers")
@@ -82,16 +83,17 @@ def checked_layout(name: str, given: Any) -> list[int]:
         raise SpecError(f"{name}: {error.message}", hint=error.hint) from error
     if layers[0] != INPUTS:
         raise SpecError(
-            f"{name} begins with {layers[0]}, but the paper's networks have {INPUTS} inputs, q2…q5"
+            f"{name} begins with {layers[0]}, but the networks of the paper have {INPUTS} inputs, "
+            "q2…q5"
         )
     return layers
 
 
 def percent(name: str, given: Any) -> float:
-    """A share in per cent, above 0 and below 100.
+    """Return a validated share in per cent, greater than 0 and less than 100.
 
     Raises:
-        SpecError: It is none.
+        SpecError: The value is not a number between 0 and 100.
     """
     found = number(name, given, above=0.0)
     if found >= 100.0:
@@ -100,69 +102,79 @@ def percent(name: str, given: Any) -> float:
 
 
 class StaticSeparation(Study):
-    """Tables 2 to 4 and figures 3 to 8 of the static paper, as printed and honestly."""
+    """Tables 2 to 4 and figures 3 to 8 of the static paper, under two protocols."""
 
     study: ClassVar[str] = "static-separation"
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("dwell",),)
 
-    protocols: list[str] = parameter(PROTOCOLS, subset, PROTOCOLS, doc="`paper`, `honest` or both.")
+    protocols: list[str] = parameter(
+        PROTOCOLS, subset, PROTOCOLS, doc="Protocols: `paper`, `honest` or both."
+    )
     layouts: list[list[int]] = parameter(
         tuple(TABLE_3), checked_layouts,
-        doc="Of networks to compare in Table 3, four inputs (q2…q5) and one output each.",
+        doc="Layer sizes of the networks in Table 3, each with four inputs (q2…q5) and one output.",
     )  # fmt: skip
     layout: list[int] = parameter(
         TABLE_4_LAYOUT, checked_layout,
-        doc="The one of Table 4 and the figures, and of the honest networks.",
+        doc="Layer sizes of the network in Table 4 and the figures, and of the honest networks.",
     )  # fmt: skip
     first_layer: str = parameter(
         "tanh", choice, ("tanh", "linear"),
-        doc="Of the paper's networks, `tanh` (as pyrenn has it) or `linear` (its text).",
+        doc="First layer of the networks of the paper: `tanh` as in pyrenn, or `linear` as in the "
+        "text of the paper.",
     )  # fmt: skip
     epochs: int = parameter(
         1000, whole, at_least=1,
-        doc="Of Levenberg–Marquardt; the honest networks stop earlier by held-out poses.",
+        doc="Maximum number of Levenberg–Marquardt epochs; the honest networks stop earlier by "
+        "means of held-out poses.",
     )  # fmt: skip
-    alpha: float = parameter(0.001, number, above=0.0, doc="Of ridge, LASSO and elastic net.")
-    weights: Weights = parameter(
-        "paper", choice, ("paper", "repeats", "pose"), doc="Of WLS, see `static-linear`."
+    alpha: float = parameter(
+        0.001, number, above=0.0, doc="Penalty of ridge, LASSO and elastic net."
     )
+    weights: Weights = parameter(
+        "paper", choice, ("paper", "repeats", "pose"),
+        doc="Weighting of the rows in WLS, see `static-linear`.",
+    )  # fmt: skip
     methods: list[str] = parameter(
         METHOD_KEYS, subset, METHOD_KEYS,
-        doc="Of the honest comparison, see `hil.studies.separation_honest.known_methods`.",
+        doc="Methods of the honest comparison, see `hil.studies.separation_honest.known_methods`.",
     )  # fmt: skip
     folds: int = parameter(
         5, whole, at_least=2,
-        doc="Of the honest comparison: each pose is held out in one of them.",
+        doc="Number of folds of the honest comparison; each pose is held out in one fold.",
     )  # fmt: skip
     hold_out_percent: float | None = parameter(
-        None, percent, optional=True, doc="Hold out this share of the poses once instead."
-    )
+        None, percent, optional=True,
+        doc="Share of the poses [%] that is held out once, instead of folds.",
+    )  # fmt: skip
     joint: int = parameter(
-        3, whole, at_least=1, doc="Shown beside joint 1 in Fig. 5, and in Fig. 7; from 1."
-    )
-    figures: bool = parameter(True, flag, doc="Whether to draw any.")
+        3, whole, at_least=1,
+        doc="Number of the joint (counted from 1) in Fig. 7, and beside joint 1 in Fig. 5.",
+    )  # fmt: skip
+    figures: bool = parameter(True, flag, doc="Whether to draw figures.")
     seed: int = parameter(
-        0, whole, at_least=0, doc="Of splits, drawn approaches and start weights."
+        0, whole, at_least=0, doc="Random seed of splits, approach directions and initial weights."
     )
     jobs: int | None = parameter(
         None, whole, at_least=1, optional=True,
-        doc="Processes; None: as many as there are cores. The result does not depend on it.",
+        doc="Number of processes; None: number of cores. The result does not depend on it.",
     )  # fmt: skip
 
     def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
-        """Return what it cannot do without: four poses."""
+        """Return the required data: at least four poses."""
         return NEEDS
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
-        """Tables, figures and words of both protocols.
+        """Return tables, figures and texts of the selected protocols.
 
         Raises:
-            FitError: There are too few dwells or poses, or no protocol can be followed.
+            FitError: There are too few dwells or poses, or none of the selected protocols can be
+                applied.
         """
         recording = recording_of(dataset, robot)
         if self.joint > robot.n:
             raise FitError(
-                f"joint is {self.joint}, but {robot.name} has {robot.n}",
+                f"joint is {self.joint}, but {robot.name} has {robot.n} joints",
                 hint="joints are counted from 1",
             )
         notes = list(recording.notes)
@@ -173,7 +185,7 @@ class StaticSeparation(Study):
         angles = (joint_angles(recording.whole),) if self.figures else ()
         return StudyResult(
             self.study,
-            "Static friction separation, as printed and honestly",
+            "Static friction separation, paper protocol and honest protocol",
             tuple(sentence for one in shown for sentence in one.summary),
             (data_part(recording, angles), *(one.part for one in shown)),
             self.get_params(),
@@ -181,10 +193,10 @@ class StaticSeparation(Study):
         )
 
     def _all_followed(self, recording: Recording, notes: list[str]) -> list[Followed]:
-        """The protocols that can be followed; notes why others cannot.
+        """Return the protocols that can be applied; add a note for each protocol that cannot.
 
         Raises:
-            FitError: None can be.
+            FitError: None of the selected protocols can be applied.
         """
         found: list[Followed] = []
         errors: list[FitError] = []
@@ -194,7 +206,7 @@ class StaticSeparation(Study):
                 found.append(ways[name](recording))
             except FitError as error:
                 errors.append(error)
-                notes.append(f"the {name} protocol is left out: {error.message}")
+                notes.append(f"the {name} protocol is omitted: {error.message}")
         if not found:
             raise errors[-1]
         return found
@@ -202,8 +214,8 @@ class StaticSeparation(Study):
     def _paper(self, recording: Recording) -> Followed:
         if recording.dwells.effort_kind != "current":
             raise FitError(
-                "eq. 16 to 20 are about motor currents, and the recording holds torques",
-                hint="ask for protocols: [honest]",
+                "eq. 16 to 20 require motor currents, but the recording contains torques",
+                hint="set protocols: [honest]",
             )
         protocol = PaperProtocol(
             recording,

@@ -1,7 +1,8 @@
-"""`study/<name>-<digest>/study.json` of a run: what a study found, made anew at any time.
+"""Storage of study results in the file `study/<name>-<digest>/study.json` of a run directory.
 
-The digest is of what was asked for, so that a study made again replaces its older result and one
-with other parameters stands beside it.
+The digest in the folder name depends on the name and the parameters of the study. A repeated study
+with equal parameters replaces its older result, whereas a study with different parameters gets a
+separate folder.
 """
 
 from __future__ import annotations
@@ -23,22 +24,22 @@ DIGEST_LENGTH = 12
 
 
 def folder_of(name: str, parameters: Mapping[str, Any]) -> str:
-    """`<name>-<digest>` of a study with all its parameters, defaults included."""
-    # Not at the top: reading a result must not load the estimators.
+    """Return the folder name `<name>-<digest>` of a study with all its parameters."""
     text = json_document({"study": name, "parameters": dict(sorted(parameters.items()))})
     return f"{name}-{hashlib.sha256(text).hexdigest()[:DIGEST_LENGTH]}"
 
 
 def write_study(result: StudyResult, folder: Path) -> Path:
-    """Write `study.json`, whole or not at all, over an older one; returns its path.
+    """Write `study.json` atomically, replacing an older file, and return its path.
 
     Raises:
-        FitError: The result cannot be shown or is not JSON; an older one stays as it is.
+        FitError: The result cannot be displayed or converted to JSON; an existing file stays
+            unchanged.
     """
     if faults := faults_of(result):
         raise FitError(
             f"the result of {result.study} cannot be shown: {'; '.join(faults[:5])}",
-            hint="this is a fault of the study: report it to whoever wrote it",
+            hint="this is a fault of the study: report it to the author of the study",
         )
     path = _write(folder / STUDY_FILE, {"hil_study": STUDY_FORMAT, **result.to_dict()})
     (folder / PROBLEM_FILE).unlink(missing_ok=True)
@@ -46,21 +47,21 @@ def write_study(result: StudyResult, folder: Path) -> Path:
 
 
 def write_problem(name: str, error: str, hint: str, folder: Path) -> Path:
-    """Write down why there is no result, or only an older one."""
+    """Write the reason why a study has no new result to `problem.json`, and return its path."""
     return _write(folder / PROBLEM_FILE, {"study": name, "error": error, "hint": hint})
 
 
 def read_study(path: Path) -> StudyResult:
-    """The result in a `study.json`.
+    """Read the study result in a `study.json` file.
 
     Raises:
-        DataError: It is damaged, or was written by a newer hil.
+        DataError: The file is damaged, or was written by a newer version of hil.
     """
-    again = "make it again: hil study RUN"
+    again = "execute the study again: hil study RUN"
     try:
         raw = json.loads(path.read_text("utf-8"))
         if int(raw["hil_study"]) > STUDY_FORMAT:
-            raise DataError(f"{path} was written by a newer hil", hint=again)
+            raise DataError(f"{path} was written by a newer version of hil", hint=again)
         result = StudyResult.from_dict(raw)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise DataError(
@@ -72,12 +73,12 @@ def read_study(path: Path) -> StudyResult:
 
 
 def study_files(run: Path) -> Sequence[Path]:
-    """The `study.json` files of a run, in order of folder name."""
+    """Return the `study.json` files of a run, sorted by folder name."""
     return sorted((run / STUDIES).glob(f"*/{STUDY_FILE}"))
 
 
 def problem_files(run: Path) -> Sequence[Path]:
-    """The `problem.json` files of the studies of a run."""
+    """Return the `problem.json` files of the studies of a run, sorted by folder name."""
     return sorted((run / STUDIES).glob(f"*/{PROBLEM_FILE}"))
 
 

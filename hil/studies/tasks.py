@@ -1,4 +1,4 @@
-"""The independent fits and trainings of a study, spread over processes, longest first."""
+"""Parallel execution of the independent fits and trainings of a study, longest tasks first."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from hil.studies.base import Ended, Progress, tell_ended
 
 
 def never(result: Any) -> str:
-    """Of tasks whose results do not tell of failures."""
+    """Return an empty text, as the default failure check for results that contain no failures."""
     return ""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Something to compute that can be sent to another process.
+    """Computation that can be executed in another process.
 
     Attributes:
-        run: Without arguments; its result is sent back.
-        cost: How long it takes compared with the others.
-        name: For people, who are told when it is done; nothing is said of tasks without.
-        failed: Asked of its result, in this process, what of it failed (`Ended.failed`).
+        run: Function without arguments whose result is returned to the main process.
+        cost: Expected duration of the task relative to the other tasks.
+        name: Display name for progress reports; a task without a name is not reported.
+        failed: Function that returns a text about the failures in a result (see `Ended.failed`); it
+            runs in the main process.
     """
 
     run: Callable[[], Any]
@@ -43,18 +44,21 @@ def run_tasks(
     progress: Progress,
     executor: Executor | None = None,
 ) -> list[Any]:
-    """Results of the tasks, in their order; they do not depend on where they are computed.
+    """Run tasks and return their results in the order of the tasks.
+
+    The results do not depend on the process or computer that executes the tasks.
 
     Args:
-        tasks: Independent of each other.
-        jobs: Processes of this computer; with 1 nothing leaves this one.
-        what: Is being done, for whoever watches.
-        progress: Told after every task.
-        executor: Takes their place whatever `jobs` is, and stays open; by default that of
-            `hil.core.parallel.spread_over`, if there is one around.
+        tasks: Tasks that are independent of each other.
+        jobs: Number of processes on this computer; 1 runs all tasks in the current process.
+        what: Name of the step in progress reports.
+        progress: Progress callback, called after every completed task.
+        executor: Executor that is used instead of `jobs` local processes; it is not shut down
+            afterwards. The default is the executor of an enclosing `hil.core.parallel.spread_over`,
+            if there is one.
 
     Raises:
-        FitError: A process died.
+        FitError: A worker process died before its task was completed.
     """
     progress(what, 0, len(tasks))
     given = executor or chosen()
@@ -64,8 +68,8 @@ def run_tasks(
         return _elsewhere(tasks, given or processes(min(jobs, len(tasks))), given, what, progress)
     except BrokenExecutor as error:
         raise FitError(
-            f"a process died while {what}",
-            hint="the system may have been out of memory; jobs: 1 needs the least of it",
+            f"a process died during: {what}",
+            hint="the memory was possibly exhausted; jobs: 1 needs the least memory",
         ) from error
 
 
@@ -73,14 +77,14 @@ def _here(tasks: Sequence[Task], what: str, progress: Progress) -> list[Any]:
     results: dict[int, Any] = {}
     news = _News(tasks, what, progress)
     for i, task in enumerate(tasks):
-        with one_thread():  # as in the processes, so that results are equal to the bit
+        with one_thread():  # as in worker processes, so that results are bit-identical
             results[i] = _timed(task.run)
         news(results)
     return [result for result, _ in results.values()]
 
 
 class _News:
-    """Tells every task that is done, once, and how many are."""
+    """Reporter of completed tasks to a progress callback; each task is reported once."""
 
     def __init__(self, tasks: Sequence[Task], what: str, progress: Progress) -> None:
         self._tasks, self._what, self._progress = tasks, what, progress
@@ -98,7 +102,7 @@ class _News:
 
 
 def _timed(run: Callable[[], Any]) -> tuple[Any, float]:
-    """What comes of it, and how long it took [s], wherever it is computed."""
+    """Return the result of a function and its duration [s], measured in the executing process."""
     begin = time.perf_counter()
     return run(), time.perf_counter() - begin
 

@@ -1,4 +1,4 @@
-"""For people who test: mock robots for their tests, and the contract of a robot as checks."""
+"""Tools for tests: mock robots, and conformance checks of robot drivers."""
 
 import lazy_loader
 

@@ -9,4 +9,5 @@ from .mocks import UrController as UrController
 from .mocks import can_bus as can_bus
 from .mocks import mock_robot as mock_robot
 from .mocks import ur_controller as ur_controller
-from .new_driver import driver_files as driver_files
+from .new_plugin import PLUGIN_KINDS as PLUGIN_KINDS
+from .new_plugin import plugin_files as plugin_files

@@ -1,4 +1,4 @@
-"""The contract of a robot as a class of tests, one for each check.
+"""Driver conformance checks as a pytest class with one test per check.
 
 >>> from hil.testing import RobotConformance
 >>> class TestMyArm(RobotConformance):
@@ -24,31 +24,34 @@ from hil.testing.driver_conformance import (
 
 
 class RobotConformance:
-    """Derive a class named `Test…` and give it a fixture `make_robot`, and `bench` if you have one.
+    """Base class of the conformance tests of a driver.
+
+    A derived class has a name `Test…`, a fixture `make_robot`, and a fixture `bench` if the driver
+    has a test bench.
 
     Attributes:
-        leave_out: Checks that are skipped.
+        leave_out: Names of conformance checks that are skipped.
     """
 
     leave_out: ClassVar[Sequence[str]] = ()
 
     @pytest.fixture
     def make_robot(self) -> MakeRobot:
-        """Gives a robot that is not connected, a fresh one each time."""
+        """Return a function that creates a new robot object, not connected."""
         return pytest.fail(
-            f"{type(self).__name__} has no fixture make_robot: one that returns a function that "
-            "makes your robot, not connected",
+            f"{type(self).__name__} lacks the fixture make_robot, which returns a function that "
+            "creates a robot that is not connected",
             pytrace=False,
         )
 
     @pytest.fixture
     def bench(self) -> Bench:
-        """What there is beside the robot."""
+        """Return the test bench of the robot under test."""
         return Bench()
 
     @pytest.mark.parametrize("check", check_names())
     def test_contract(self, check: str, make_robot: MakeRobot, bench: Bench) -> None:
-        """One check of `robot_conformance`."""
+        """Run one of the checks of `robot_conformance`."""
         if check in self.leave_out:
             pytest.skip("left out")
         others = [name for name in check_names() if name != check]
@@ -57,4 +60,4 @@ class RobotConformance:
         except NotConforming as error:
             pytest.fail(str(error).strip(), pytrace=False)
         if not done:
-            pytest.skip("the bench can neither see nor do what it takes")
+            pytest.skip("the bench cannot observe or cause the condition of this check")

@@ -1,16 +1,19 @@
-"""Does a driver keep the contract of `hil.robot.Robot`? One function asks it, for any driver.
+"""Conformance checks of a driver against the contract of `hil.robot.Robot`.
 
 >>> from hil.testing import robot_conformance
 >>> robot_conformance(lambda: MyArm("bench", "ur5", address="192.0.2.7"))     # doctest: +SKIP
 
-Each check is a function of a robot whose name is the sentence that it checks; it raises
-`AssertionError` with what the robot did instead. The checks stand in groups, and each group ends
-with the tuple that `robot_conformance` goes through: before connecting, connected and at rest,
-limits, stops, faults. Checks that cannot do with the robot alone take a `Bench`, which says how
-fast the robot slows down, who sees its wire and who can make it fault.
+Each conformance check of a driver is a function that receives the robot. The name of the function
+is the statement that is checked, and the function raises `AssertionError` with the observed
+behavior if the statement is false. The conformance checks are grouped: before connecting, connected
+and static, limits, stops, faults. The source code of each group ends with the tuple of checks that
+`robot_conformance` uses. Checks that need more information than the robot object have a `Bench`
+argument, which describes the deceleration of the robot, the observation of its commands and the
+injection of faults.
 
-A failure is noted and the next check begins, with a new robot: a driver's author gets all failures
-at once. Nothing here needs pytest; `RobotConformance` makes a test of each check.
+After a failed check, the next check starts with a new robot object, so that the driver author gets
+all failures at the same time. This module does not need pytest; the class `RobotConformance`
+creates one pytest test per check.
 """
 
 from __future__ import annotations
@@ -58,25 +61,26 @@ BenchCheck: TypeAlias = Callable[[Robot, "Bench"], None]
 KINDS: tuple[Literal["move", "trajectory"], ...] = ("move", "trajectory")
 
 STOP_S = 0.1
-"""Wall time that `stop` may take, and the command until it is with the controller [s]."""
+"""Wall time limit for a call of `stop`, and for the arrival of the stop command at the
+controller [s]."""
 FAULT_S = 1.0
-"""How soon a fault has to be told, by the clock of `Capabilities.clock` [s]."""
+"""Time limit for reporting a fault, measured on the clock of `Capabilities.clock` [s]."""
 SEEN_WITHIN_S = 1.0
-"""How long a witness may take to say what it saw [s]."""
+"""Time limit for the test observer that waits for a stop command [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Where a driver is tested.
+    """Test bench of a driver: properties of the robot that the checks need.
 
     Attributes:
-        move_ramp_rad_s2: Deceleration of the last joint when a move is stopped [rad/s²].
-        trajectory_ramp_rad_s2: The same when a trajectory is stopped.
-        stop_seen: Given a moment of `time.monotonic`, when the first stop after it came to the
-            controller, by the same clock; None while there is none. A mock's journal can tell, or
-            a listener on the wire.
-        fault: Makes the robot, which moves, fault: by a mock's side channel, or a person who
-            presses the button when asked.
+        move_ramp_rad_s2: Deceleration of the last joint if a move is stopped [rad/s²].
+        trajectory_ramp_rad_s2: Deceleration of the last joint if a trajectory is stopped [rad/s²].
+        stop_seen: Function of a time of `time.monotonic` that returns the time, on the same clock,
+            at which the first later stop command arrived at the controller; None if no stop command
+            arrived. The source of the arrival time is the journal of a mock or a bus listener.
+        fault: Function that causes a fault of the moving robot: over the side channel of a mock, or
+            by asking an operator.
     """
 
     move_ramp_rad_s2: float = 2.0
@@ -86,10 +90,10 @@ class Bench:
 
 
 class NotConforming(AssertionError):
-    """A driver breaks the contract; the message lists every check that found so.
+    """Error for a driver that violates the contract; the message lists all failed checks.
 
     Attributes:
-        failures: Name of the check → what it found.
+        failures: Description of each failure, by name of the check.
     """
 
     def __init__(self, failures: dict[str, str]) -> None:
@@ -100,19 +104,19 @@ class NotConforming(AssertionError):
 def robot_conformance(
     make_robot: MakeRobot, *, leave_out: Sequence[str] = (), bench: Bench | None = None
 ) -> tuple[str, ...]:
-    """Check a driver against the robot protocol, moving its last joint by up to 0.4 rad at a time.
+    """Check a driver against the robot protocol; moves the last joint by up to 0.4 rad.
 
     Args:
-        make_robot: Gives a robot that is not connected, a fresh one each time. It is connected,
-            moved, stopped and closed; a real one needs room around it.
-        leave_out: Checks that are not done.
-        bench: What there is beside the robot. What no bench can see or do is not checked.
+        make_robot: Function that returns a new robot object, not connected. The robot is connected,
+            moved, stopped and closed; a real robot needs free space around it.
+        leave_out: Names of checks that are skipped.
+        bench: Test bench. Checks that need features missing in the bench are skipped.
 
     Returns:
-        Names of the checks that were done.
+        Names of the checks that were completed.
 
     Raises:
-        NotConforming: At least one of them failed.
+        NotConforming: At least one check failed.
     """
     bench = bench or Bench()
     alone = _kept(BEFORE_AND_AFTER, leave_out)
@@ -129,7 +133,7 @@ def robot_conformance(
 
 
 class Conformance(Protocol):
-    """What the fixture `robot_conformance` gives: the function above."""
+    """Type of the function that the fixture `robot_conformance` returns."""
 
     def __call__(
         self, make_robot: MakeRobot, *, leave_out: Sequence[str] = (), bench: Bench | None = None
@@ -138,7 +142,7 @@ class Conformance(Protocol):
 
 
 def check_names() -> tuple[str, ...]:
-    """Names of all checks, in the order in which they are done."""
+    """Return the names of all checks, in the order of execution."""
     checks = (*BEFORE_AND_AFTER, *CONNECTED, *BENCH, *SEEN, *FAULTY)
     return tuple(dict.fromkeys(check.__name__ for check in checks))
 
@@ -148,7 +152,7 @@ def _kept(checks: Sequence[Check], leave_out: Sequence[str]) -> list[Check]:
 
 
 def _at(bench: Bench, checks: Sequence[BenchCheck]) -> list[Check]:
-    """The checks with their bench, under their own names."""
+    """Return the checks with their `bench` argument bound, with unchanged names."""
 
     def bound(check: BenchCheck) -> Check:
         @functools.wraps(check)
@@ -161,14 +165,17 @@ def _at(bench: Bench, checks: Sequence[BenchCheck]) -> list[Check]:
 
 
 def _alone(make_robot: MakeRobot, checks: Sequence[Check]) -> Iterator[tuple[str, str]]:
-    """Each on a robot of its own, not connected."""
+    """Run each check on a separate robot object, not connected; yield the failures."""
     for check in checks:
         with _closing(make_robot()) as robot:
             yield from _done(check, robot)
 
 
 def _together(make_robot: MakeRobot, checks: Sequence[Check]) -> Iterator[tuple[str, str]]:
-    """One after the other on one connected robot, a new one after every failure."""
+    """Run the checks on one connected robot, with a new object after every failure.
+
+    Yield failures.
+    """
     left = list(checks)
     while left:
         with _closing(make_robot()) as robot:
@@ -185,14 +192,14 @@ def _done(check: Check, robot: Robot) -> Iterator[tuple[str, str]]:
         check(robot)
     except AssertionError as error:
         yield check.__name__, str(error)
-    except Exception as error:  # a driver may fail in any way it likes
+    except Exception as error:  # a driver can raise any exception
         told = error.message if isinstance(error, HilError) else str(error)
         yield check.__name__, f"raised {type(error).__name__}: {told}"
 
 
 @contextlib.contextmanager
 def _closing(robot: Robot) -> Iterator[Robot]:
-    """However a check ended, the arm comes to rest before the next one gets a robot."""
+    """Stop and close the robot after a check, so that the arm is static before the next check."""
     try:
         yield robot
     finally:
@@ -201,14 +208,14 @@ def _closing(robot: Robot) -> Iterator[Robot]:
                 step()
 
 
-# What several checks assert.
+# Assertions used by several checks.
 
 
 def raises(kind: type[HilError], call: Callable[[], object], what: str) -> None:
-    """A call has to raise an error of this kind.
+    """Raise `AssertionError` if a call does not raise an error of the expected class.
 
     Raises:
-        AssertionError: It raises another one, or none.
+        AssertionError: The call raises an error of a different class, or no error.
     """
     try:
         call()
@@ -222,10 +229,10 @@ def raises(kind: type[HilError], call: Callable[[], object], what: str) -> None:
 
 
 def stop_in_time(robot: Robot, when: str) -> None:
-    """Call `stop`.
+    """Call the method `stop` and check its duration.
 
     Raises:
-        AssertionError: It takes too long.
+        AssertionError: The call takes longer than allowed.
     """
     asked = time.perf_counter()
     robot.stop()
@@ -237,7 +244,7 @@ def stop_in_time(robot: Robot, when: str) -> None:
 
 
 def names_rates_and_limits_are_known_before_connecting(robot: Robot) -> None:
-    """`capabilities` and `limits` belong together and make sense."""
+    """Check that `capabilities` and `limits` are consistent and valid before connecting."""
     can, limits = robot.capabilities, robot.limits
     n = len(can.joint_names)
     assert n > 0, "no joints"
@@ -251,15 +258,16 @@ def names_rates_and_limits_are_known_before_connecting(robot: Robot) -> None:
 
 
 def every_joint_has_limits_and_gains(robot: Robot) -> None:
-    """Numbers above 0, as what watches over a run compares with them; gains may be unknown.
+    """Check that joint limits are positive finite numbers; drive gains can be unknown.
 
-    A driver that cannot know a limit leaves this out, and its documentation says which.
+    The author of a driver that cannot know a limit skips this check and names the limit in the
+    documentation of the driver.
     """
     can, limits = robot.capabilities, robot.limits
     for name in ("qd_max", "qdd_max", "effort_max"):
         known = np.isfinite(getattr(limits, name)) & (getattr(limits, name) > 0)
         lacking = [can.joint_names[i] for i in np.flatnonzero(~known)]
-        assert not lacking, f"limits.{name} says nothing of {', '.join(lacking)}"
+        assert not lacking, f"limits.{name} has no valid value for {', '.join(lacking)}"
     gains = np.array(can.drive_gains)
     assert len(gains) in (0, len(can.joint_names)), (
         f"{len(gains)} drive gains for {len(can.joint_names)} joints"
@@ -268,40 +276,41 @@ def every_joint_has_limits_and_gains(robot: Robot) -> None:
 
 
 def a_robot_in_wall_time_says_which_one_it_is(robot: Robot) -> None:
-    """`resource` is known, and the same from every station file; else two may drive one arm.
+    """Check that a robot with a wall clock has a `resource`, independent of the station file.
 
-    A simulation that is private to its process leaves this out.
+    Without a `resource`, two processes could command the same arm at the same time. For a
+    simulation that is private to its process, the driver author skips this check.
     """
     if robot.capabilities.clock == "virtual":
         return
-    assert isinstance(robot, HasResource), "it has no `resource`, such as its address"
+    assert isinstance(robot, HasResource), "the robot has no `resource`, such as its address"
     said = robot.resource
-    assert isinstance(said, str), f"its `resource` is {said!r}, no text"
-    assert said.strip(), "its `resource` is empty"
+    assert isinstance(said, str), f"`resource` is {said!r}, not text"
+    assert said.strip(), "`resource` is empty"
 
 
 def nobody_is_there_before_connecting(robot: Robot) -> None:
-    """`identity` and `read` raise `RobotConnectionError`."""
+    """Check that `identity` and `read` raise `RobotConnectionError` before connecting."""
     raises(RobotConnectionError, lambda: robot.identity, "identity before connect")
     raises(RobotConnectionError, robot.read, "read before connect")
 
 
 def stop_works_before_connecting(robot: Robot) -> None:
-    """There is nothing to stop, and it says nothing."""
+    """Check that `stop` before connecting raises no error."""
     stop_in_time(robot, "before connect")
 
 
 def connecting_twice_is_connecting_once(robot: Robot) -> None:
-    """`connect` is idempotent."""
+    """Check that `connect` is idempotent."""
     robot.connect()
     before = robot.identity
     robot.connect()
-    assert robot.identity == before, f"connected again it is {robot.identity}, not {before}"
+    assert robot.identity == before, f"after the second connect: {robot.identity}, not {before}"
     robot.read()
 
 
 def a_closed_robot_is_gone(robot: Robot) -> None:
-    """`close` and `stop` are idempotent; `read` says that nobody is there."""
+    """Check that `close` and `stop` are idempotent and that `read` raises if closed."""
     robot.connect()
     robot.read()
     robot.close()
@@ -319,33 +328,36 @@ BEFORE_AND_AFTER: tuple[Check, ...] = (
     connecting_twice_is_connecting_once,
     a_closed_robot_is_gone,
 )
-"""Each needs a robot that is not connected."""
+"""Checks that need a robot that is not connected."""
 
 
 # Connected: rows, moves and the payload.
 
 
 def rows_are_state_rows_in_order(robot: Robot) -> None:
-    """`read` gives at least one row of `state_dtype(n)`; device time increases row by row."""
+    """Check that `read` returns rows of `state_dtype(n)` with increasing device time."""
     blocks = [robot.read() for _ in range(5)]
     expected = state_dtype(len(robot.capabilities.joint_names))
     for block in blocks:
         assert len(block), "a block without rows"
         assert block.dtype == expected, f"rows are {block.dtype}, not {expected}"
     times = np.concatenate(blocks)["device_time"]
-    assert np.isfinite(times).all(), "a device time that is not a number"
-    assert (np.diff(times) > 0).all(), "device times repeat or run backwards"
+    assert np.isfinite(times).all(), "a device time is not a number"
+    assert (np.diff(times) > 0).all(), "device times do not increase strictly"
 
 
 def a_robot_at_rest_holds(robot: Robot) -> None:
-    """Nobody moved it: no `MOVING`, no speed, no fault."""
+    """Check that a static robot has no `MOVING` bit, no speed and no fault."""
     row = robot.read()[-1]
     assert not row["status"] & (Status.MOVING | Status.FAULT), f"status {row['status']} at rest"
     assert np.abs(row["qd"]).max() < REST_RAD_S, f"moves at {row['qd']} rad/s"
 
 
 def what_was_not_prepared_does_not_start(robot: Robot) -> None:
-    """`start` raises a `RobotError`, also when a segment was started before."""
+    """Check that `start` without a prepared segment raises a `RobotError`.
+
+    This check is also made after an earlier segment was started.
+    """
     raises(RobotError, robot.start, "start with nothing prepared")
 
 
@@ -353,16 +365,16 @@ _AT_GOAL_RAD = 0.01
 
 
 def a_move_ends_where_it_was_told(robot: Robot) -> None:
-    """Its rows carry its segment, `MOVING` ends at the goal."""
+    """Check that the rows of a move contain its segment number; `MOVING` ends at the goal."""
     segment = move(robot, 0.1)
     mine = follow(robot, segment)
     off = np.abs(mine[-1]["q"] - segment.q[-1]).max()
-    assert off < _AT_GOAL_RAD, f"ended {off:.4f} rad from where it was told to"
-    assert (np.diff(mine["device_time"]) > 0).all(), "device times repeat or run backwards"
+    assert off < _AT_GOAL_RAD, f"ended {off:.4f} rad away from the goal"
+    assert (np.diff(mine["device_time"]) > 0).all(), "device times do not increase strictly"
 
 
 def a_hold_of_one_set_point_holds(robot: Robot) -> None:
-    """N = 1: the rows carry the segment, and nothing moves."""
+    """Check a hold of one set-point: rows have its segment number, the arm does not move."""
     here = standing_at(robot)
     mine = follow(robot, hold(robot))
     off = np.abs(mine[-1]["q"] - here).max()
@@ -370,7 +382,7 @@ def a_hold_of_one_set_point_holds(robot: Robot) -> None:
 
 
 def the_payload_is_read_back(robot: Robot) -> None:
-    """`set_payload` returns what the controller has, and nothing again after that."""
+    """Check that `set_payload` returns the declared payload, with and without a payload."""
     mass = min(1.0, robot.limits.payload_max_kg / 2)
     declared = Payload(mass, (0.0, 0.01, 0.04))
     for payload in (declared, Payload()):
@@ -379,7 +391,10 @@ def the_payload_is_read_back(robot: Robot) -> None:
 
 
 def a_read_waits_no_longer_than_it_may(robot: Robot) -> None:
-    """A tiny time-out gives rows or `RobotTimeout`, and the next read gives rows."""
+    """Check that a very short time-out yields rows or `RobotTimeout`.
+
+    The next read must work in both cases.
+    """
     asked = time.monotonic()
     with contextlib.suppress(RobotTimeout):
         robot.read(1e-4)
@@ -390,7 +405,8 @@ def a_read_waits_no_longer_than_it_may(robot: Robot) -> None:
 
 OUTSIDE_RAD = 0.1
 BESIDE_RAD = 0.02
-"""How far the integral of the velocity may be from the position: a lag of 60 ms [rad]."""
+"""Maximum difference between integrated velocity and position [rad], which allows a delay of 60
+ms."""
 RATE_SHARE = 0.01
 CLOCKS_S = 10.0
 EFFORT_SHARE = 1.2
@@ -398,7 +414,7 @@ COLDEST_C, HOTTEST_C = -20.0, 120.0
 
 
 def rows_are_in_the_units_they_say(robot: Robot) -> None:
-    """Rad, rad/s, s, °C, Unix time, and A or N·m, as far as rows of a slow move can tell."""
+    """Check the units of the rows of a slow move: rad, rad/s, s, °C, Unix time, and A or N·m."""
     can, limits = robot.capabilities, robot.limits
     rows = follow(robot, move(robot, LONG_WAY_RAD))
     t, q, qd = rows["device_time"], rows["q"], rows["qd"]
@@ -409,8 +425,8 @@ def rows_are_in_the_units_they_say(robot: Robot) -> None:
     steps = (qd[1:] + qd[:-1]) / 2 * np.diff(t)[:, None]
     beside = np.abs(np.cumsum(steps, axis=0) - (q[1:] - q[0])).max()
     assert beside < BESIDE_RAD, (
-        f"qd summed up over device time ends {beside:.3f} rad beside q: is qd in rad/s and device "
-        "time in s?"
+        f"qd integrated over device time ends {beside:.3f} rad away from q: is qd in rad/s and "
+        "device time in s?"
     )
 
     measured = 1.0 / float(np.median(np.diff(t)))
@@ -421,16 +437,16 @@ def rows_are_in_the_units_they_say(robot: Robot) -> None:
         off = abs(float(rows["host_time"][-1]) - time.time())
         assert off < CLOCKS_S, f"host_time is {off:.1f} s off Unix time"
 
-    # A current can be compared with a limit in N·m only where the drive gains are known.
+    # A current can be compared with a limit in N·m only if the drive gains are known.
     if can.effort_kind == "torque" or can.drive_gains:
         gains = np.abs(can.drive_gains) if can.effort_kind == "current" else 1.0
         torque: FloatArray = np.abs(rows["effort"]) * gains
-        # An effort that is NaN was not measured, and does not count as too much.
+        # A NaN effort was not measured and passes the check.
         too_much = (torque > EFFORT_SHARE * limits.effort_max).any(axis=0)
         named = [can.joint_names[i] for i in np.flatnonzero(too_much)]
         assert not named, (
-            f"effort of {', '.join(named)} is beyond effort_max in a slow move: is it the "
-            f"{can.effort_kind} that capabilities say?"
+            f"effort of {', '.join(named)} exceeds effort_max in a slow move: is it a "
+            f"{can.effort_kind}, as capabilities state?"
         )
 
     known = rows["temperature"][np.isfinite(rows["temperature"])]
@@ -438,29 +454,30 @@ def rows_are_in_the_units_they_say(robot: Robot) -> None:
     assert plausible.all(), f"a temperature of {known[~plausible][0]:g}: is it in °C?"
 
 
-# Limits: what a robot cannot do is refused before anything moves.
+# Limits: an impossible segment is rejected before any motion.
 
 TOO_FAR_RAD = 0.2
 TOO_MUCH = 1.5
-"""Share of a limit that is asked for."""
+"""Ratio of the requested speed or acceleration to its limit in the limit checks."""
 _RUN_UP = 2.2
-"""Way that getting fast and slow again takes, in velocities squared per acceleration."""
+"""Distance needed for acceleration and deceleration, as a factor of velocity squared divided by
+acceleration."""
 WATCHED_S = 0.2
 
 
 def a_position_beyond_the_limits_is_refused(robot: Robot) -> None:
-    """`prepare` raises for a segment that leaves the joint range, and nothing moves."""
+    """Check that `prepare` rejects a segment beyond the joint range, without motion."""
     up, down = room(robot)
     way = up + TOO_FAR_RAD if up < down else -down - TOO_FAR_RAD
     if not np.isfinite(way):
-        return  # a joint that turns for ever has no end to go beyond
+        return  # a continuous joint has no limit
     velocity, acceleration = _half(robot)
     for kind in KINDS:
         _refused(robot, line(robot, way, velocity, acceleration, kind), "leaves the joint range")
 
 
 def a_velocity_beyond_the_limits_is_refused(robot: Robot) -> None:
-    """The same for one that is faster than `limits.qd_max`."""
+    """Check that `prepare` rejects a segment faster than `limits.qd_max`, without motion."""
     _, acceleration = _half(robot)
     velocity = TOO_MUCH * float(robot.limits.qd_max[-1])
     for kind in KINDS:
@@ -469,7 +486,7 @@ def a_velocity_beyond_the_limits_is_refused(robot: Robot) -> None:
 
 
 def an_acceleration_beyond_the_limits_is_refused(robot: Robot) -> None:
-    """The same for one that needs more than `limits.qdd_max`."""
+    """Check that `prepare` rejects a segment beyond `limits.qdd_max`, without motion."""
     velocity = 0.9 * float(robot.limits.qd_max[-1])
     acceleration = TOO_MUCH * float(robot.limits.qdd_max[-1])
     for kind in KINDS:
@@ -485,7 +502,10 @@ def _half(robot: Robot) -> tuple[float, float]:
 def _within_range(
     robot: Robot, velocity: float, acceleration: float, kind: Literal["move", "trajectory"]
 ) -> Segment:
-    """As far as it takes to get that fast; harder where there is no room for it."""
+    """Return a segment in which the last joint reaches the velocity.
+
+    The acceleration is increased if the distance to the joint limit is short.
+    """
     up, down = room(robot)
     way = min(_RUN_UP * velocity**2 / acceleration, 0.9 * max(up, down))
     acceleration = max(acceleration, _RUN_UP * velocity**2 / way)
@@ -498,28 +518,28 @@ def _refused(robot: Robot, segment: Segment, what: str) -> None:
     raises(RobotError, robot.start, "start after prepare has refused")
     for row in rows_for(robot, WATCHED_S):
         moved = float(np.abs(row["q"] - here).max())
-        assert moved < AT_SET_POINT_RAD, f"it was refused, and the arm has moved {moved:.3f} rad"
-        assert not row["status"] & Status.MOVING, "it was refused, and rows say that the arm moves"
+        assert moved < AT_SET_POINT_RAD, f"it was refused, but the arm has moved {moved:.3f} rad"
+        assert not row["status"] & Status.MOVING, "it was refused, but rows report a moving arm"
 
 
 # Stops.
 
 
 def stop_works_at_rest_and_again(robot: Robot) -> None:
-    """`stop` is idempotent."""
+    """Check that `stop` is idempotent."""
     for which in ("at rest", "at rest, the second time"):
         stop_in_time(robot, which)
 
 
 def stop_works_while_another_thread_reads(robot: Robot) -> None:
-    """No call in progress delays it."""
+    """Check that a `read` in progress does not delay `stop`."""
     over = threading.Event()
 
     def read() -> None:
         with contextlib.suppress(HilError):
             while not over.is_set():
                 robot.read()
-                time.sleep(1e-3)  # what an engine does with the rows
+                time.sleep(1e-3)  # time in which an engine processes the rows
 
     begin(robot, move(robot, LONG_WAY_RAD))
     thread = threading.Thread(target=read)
@@ -549,23 +569,29 @@ CONNECTED: tuple[Check, ...] = (
     stop_works_at_rest_and_again,
     stop_works_while_another_thread_reads,
 )
-"""Each leaves a connected robot at rest."""
+"""Checks that need a connected static robot and leave the robot static."""
 
 
 def stop_ends_a_move(robot: Robot, bench: Bench) -> None:
-    """It returns at once; the arm rests within 100 ms and its ramp, and can be moved again."""
+    """Check that `stop` in a move returns at once and that the arm stops on its ramp.
+
+    After the stop, the arm must be static within 100 ms plus the duration of the ramp, and must be
+    movable again.
+    """
     _ends(robot, "move", bench.move_ramp_rad_s2)
 
 
 def stop_ends_a_trajectory(robot: Robot, bench: Bench) -> None:
-    """The same while every set-point is given."""
+    """Check that `stop` in a trajectory returns at once and that the arm stops on its ramp."""
     _ends(robot, "trajectory", bench.trajectory_ramp_rad_s2)
 
 
 def _ends(robot: Robot, kind: Literal["move", "trajectory"], ramp_rad_s2: float) -> None:
-    """Twice at most: a stop that had to be made another way may ask for `connect`, but not always.
+    """Check a stop, and repeat the check a single time if the driver requires `connect`.
 
-    A computer that gives a driver no processor for a moment leaves it no other choice.
+    A driver that gets no processor time on a busy computer possibly has to stop the arm by a
+    different method, after which a call of `connect` is required. A driver must not require a call
+    of `connect` after every stop.
     """
     _rests(robot, kind, ramp_rad_s2)
     try:
@@ -589,19 +615,19 @@ def _rests(robot: Robot, kind: Literal["move", "trajectory"], ramp_rad_s2: float
     )
     settle(robot)
     left = np.abs(standing_at(robot) - segment.q[-1]).max()
-    assert left > AT_SET_POINT_RAD, "the motion went on to its goal"
+    assert left > AT_SET_POINT_RAD, "the motion continued to its goal"
 
 
 BENCH: tuple[BenchCheck, ...] = (
     stop_ends_a_move,
     stop_ends_a_trajectory,
 )
-"""The same, with a word about the robot's ramps."""
+"""Checks that need a connected static robot and the deceleration in `Bench`."""
 
 
 def a_stop_is_on_the_wire_in_time(robot: Robot, bench: Bench) -> None:
-    """Within 100 ms of the request the controller has it, whatever the arm is doing."""
-    assert bench.stop_seen is not None, "nobody sees the wire"
+    """Check that a stop command reaches the controller within 100 ms, in any motion."""
+    assert bench.stop_seen is not None, "the bench does not observe the wire"
     for kind in KINDS:
         begin(robot, move(robot, LONG_WAY_RAD, kind))
         asked = time.monotonic()
@@ -610,24 +636,25 @@ def a_stop_is_on_the_wire_in_time(robot: Robot, bench: Bench) -> None:
         while (seen := bench.stop_seen(asked)) is None and time.monotonic() < until:
             time.sleep(0.01)
         settle(robot)
-        assert seen is not None, f"no stop came to the controller out of a {kind}"
+        assert seen is not None, f"no stop reached the controller during a {kind}"
         took = seen - asked
         assert took < STOP_S, f"the stop of a {kind} was on the wire after {took * 1e3:.0f} ms"
 
 
 SEEN: tuple[BenchCheck, ...] = (a_stop_is_on_the_wire_in_time,)
-"""The same, for a bench where somebody sees the wire."""
+"""Checks that need a connected static robot and `Bench.stop_seen`."""
 
 
 # Faults.
 
 
 def a_fault_surfaces_in_the_next_read(robot: Robot, bench: Bench) -> None:
-    """The read after the rows that show it raises `RobotFault`; nothing is obeyed until `connect`.
+    """Check that the call of `read` after a row with a fault raises `RobotFault`.
 
-    Its robot is not connected, and not used any more afterwards.
+    After a fault, the driver must reject all commands until `connect` is called. The robot is not
+    connected before this check and is not used after this check.
     """
-    assert bench.fault is not None, "nobody can make it fault"
+    assert bench.fault is not None, "the bench cannot cause a fault"
     robot.connect()
     here = hold(robot)
     begin(robot, move(robot, LONG_WAY_RAD))
@@ -646,13 +673,13 @@ def _until_it_raises(robot: Robot) -> None:
             rows = robot.read()
         except RobotFault:
             return
-        assert not shown, "rows showed a fault, and the read after them has not raised it"
+        assert not shown, "rows reported a fault, but the next read did not raise it"
         shown = bool((rows["status"] & int(Status.FAULT)).any())
         first = min(first, float(rows["device_time"][0]))
         passed = float(rows["device_time"][-1]) - first
         late = time.monotonic() > until if wall else passed > FAULT_S
-        assert shown or not late, f"no read has told the fault within {FAULT_S:g} s"
+        assert shown or not late, f"no read has raised the fault within {FAULT_S:g} s"
 
 
 FAULTY: tuple[BenchCheck, ...] = (a_fault_surfaces_in_the_next_read,)
-"""Each needs a robot that is not connected, and a bench where it can be made to fault."""
+"""Checks that need a robot that is not connected and `Bench.fault`."""

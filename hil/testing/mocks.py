@@ -1,13 +1,14 @@
-"""Mock robots for tests, each as a context manager: embedded, a UR controller, CiA 402 drives.
+"""Mock robots for tests as context managers: embedded robot, UR controller, CiA 402 drives.
 
-`mock_robot` is a robot in this process, on a virtual clock: it needs no time and no socket.
-`ur_controller` and `can_bus` are what clients of a real controller talk to, so each is a process of
-its own. Tests reach past the interface under test through a side channel (`MockProcess`): they ask
-it for the truth about the arm, let something go wrong, and read its journal.
+The function `mock_robot` yields a robot inside this process on a virtual clock, which needs neither
+real time nor a socket. The mocks of `ur_controller` and `can_bus` replace a real controller for its
+clients, so that each mock runs in a separate process. Over a side channel (`MockProcess`), tests
+read the true state of the arm, inject faults and read the journal of the mock.
 
-That process is this module too: `running` starts `python -m hil.testing.mocks NAME …`, whose `main`
-becomes the mock. It ends when its standard input does: however the tests die, they leave no mock
-behind. python-can is imported when a bus is asked for.
+The separate mock process also runs this module: `running` starts `python -m hil.testing.mocks NAME
+…`, and `main` runs the mock. The mock process exits when its standard input is closed, so that no
+mock remains after the tests, however the tests end. The package python-can is imported only if a
+bus is requested.
 """
 
 from __future__ import annotations
@@ -45,37 +46,43 @@ if TYPE_CHECKING:
 
 
 class MockRobot(Robot, Protocol):
-    """A robot that exists only here; beside the protocol it can be made to fail."""
+    """Type of a mock robot inside this process: robot protocol and fault injection."""
 
     def fault(self, kind: str, **keys: Any) -> contextlib.ExitStack:
-        """Let something go wrong now (docs/reference/mock.md); in a `with` until its end."""
+        """Inject a fault now; a `with` statement removes the fault at its end.
+
+        The kinds of faults are listed in docs/reference/mock.md.
+        """
 
     def clear(self) -> None:
-        """What goes wrong is over and nothing is to come; a stop is over after `connect`."""
+        """Remove all present and scheduled faults.
+
+        After a stop, `connect` must also be called.
+        """
 
     def push(self, torque: Sequence[float] | FloatArray) -> None:
-        """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
+        """Apply an external joint torque (n,) [N·m] from now on; zeros end the torque."""
 
     def wear(self, factor: Sequence[float] | FloatArray) -> None:
-        """Scale all friction by `factor` (n,) from now on, 1 for as good as new."""
+        """Scale the friction of the joints by `factor` (n,); 1 is the friction of a new arm."""
 
 
 @contextlib.contextmanager
 def mock_robot(
     model: str = "ur5", seed: int = 0, *, name: str = "mock", **options: Any
 ) -> Iterator[MockRobot]:
-    """A connected mock robot; closed at the end.
+    """Yield a connected mock robot, which is closed after the block.
 
     Args:
-        model: A built-in arm.
-        seed: Which individual.
-        name: Its name, in messages.
-        **options: Further ones of the mock (docs/reference/mock.md): `clock="wall"`,
+        model: Name of a built-in arm.
+        seed: Number that determines the parameters of the simulated individual arm.
+        name: Name of the robot in messages.
+        **options: Further options of the mock (docs/reference/mock.md): `clock="wall"`,
             `profile="ideal"`, `faults=[{"kind": "refuse", "segment": 0}]`, …
 
     Raises:
-        PluginError: The extra is missing.
-        SpecError: There is no such arm or option.
+        PluginError: The extra of hil that the mock requires is not installed.
+        SpecError: The arm or an option of the mock does not exist.
     """
     require_extras("the mock robot", "mock")
     robot: MockRobot = plugins.load("hil.drivers", "mock")(name, model, seed=seed, **options)
@@ -92,10 +99,10 @@ _LOOKS_S = 0.02
 
 
 class MockProcess(ABC):
-    """A mock that runs as a process of its own.
+    """Mock robot that runs in a separate process.
 
     Attributes:
-        process: The process.
+        process: Process in which the mock runs.
     """
 
     def __init__(self, process: subprocess.Popen[str], journal: Path) -> None:
@@ -103,18 +110,18 @@ class MockProcess(ABC):
 
     @abstractmethod
     def _line(self) -> socket.socket:
-        """A new connection to the side channel."""
+        """Return a new connection to the side channel of the mock."""
 
     def tell(self, do: str, **more: Any) -> dict[str, Any]:
-        """Ask the mock itself for something, past the interfaces under test; its answer.
+        """Send a request to the side channel of the mock and return its answer.
 
         Args:
-            do: A request of its side channel: `state`, `fault`, `push`, `mount`, …
-            **more: What the request holds.
+            do: Name of the request: `state`, `fault`, `push`, `mount`, …
+            **more: Parameters of the request.
 
         Raises:
-            CommandRefused: It does not do that.
-            RobotConnectionError: It is not there any more.
+            CommandRefused: The mock does not support the request.
+            RobotConnectionError: The mock process has exited.
         """
         request = json.dumps({"do": do, **more}).encode() + b"\n"
         try:
@@ -129,18 +136,19 @@ class MockProcess(ABC):
         return answer
 
     def state(self) -> dict[str, Any]:
-        """The truth about the robot: where its arm is, modes, faults that last."""
+        """Return the true state of the robot: arm position, modes and persistent faults."""
         return self.tell("state")
 
     def fault(self, kind: str, **keys: Any) -> contextlib.ExitStack:
-        """Let something go wrong now; in a `with` statement until its end.
+        """Inject a fault now; a `with` statement removes the fault at its end.
 
         Args:
-            kind: What: docs/reference/mock-ur-faults.md, docs/reference/mock-can-faults.md.
-            **keys: Its further keys, such as `for_s`; `at_s` or `motion` for later.
+            kind: Kind of the fault: docs/reference/mock-ur-faults.md,
+                docs/reference/mock-can-faults.md.
+            **keys: Further parameters, such as `for_s`; `at_s` or `motion` for a later fault.
 
         Raises:
-            CommandRefused: There is no such kind or key.
+            CommandRefused: The kind of fault or a parameter does not exist.
         """
         self.tell("fault", kind=kind, **keys)
         over = contextlib.ExitStack()
@@ -148,29 +156,29 @@ class MockProcess(ABC):
         return over
 
     def clear(self) -> None:
-        """What goes wrong is over and nothing is to come; stops stay until they are released."""
+        """Remove all present and scheduled faults; stops remain until they are released."""
         self.tell("clear")
 
     def wait_until(
         self, true: Callable[[dict[str, Any]], bool], within_s: float = 10.0
     ) -> dict[str, Any]:
-        """Wait until `true(state())`; returns that state.
+        """Wait until `true(state())` is true and return that state.
 
         Raises:
-            RobotTimeout: It does not become true in time.
+            RobotTimeout: The state does not satisfy the condition in time.
         """
         until = time.monotonic() + within_s
         while not true(state := self.state()):
             if time.monotonic() > until:
-                raise RobotTimeout(f"the mock has not got there within {within_s:g} s: {state}")
+                raise RobotTimeout(f"the mock has not reached it within {within_s:g} s: {state}")
             time.sleep(_LOOKS_S)
         return state
 
     def journal(self, event: str = "") -> list[dict[str, Any]]:
-        """What it was told and did so far, line by line.
+        """Return the requests and actions of the mock so far, one per journal line.
 
         Args:
-            event: Only lines of this event, such as `start`; all of them without.
+            event: Name of the events to return, such as `start`; empty for all events.
         """
         if not self._journal.exists():
             return []
@@ -179,10 +187,10 @@ class MockProcess(ABC):
         return [line for line in lines if not event or line["event"] == event]
 
     def end(self) -> int:
-        """End it; returns its exit code.
+        """Stop the mock process; return its exit code.
 
         Raises:
-            RobotTimeout: It does not end, and was killed.
+            RobotTimeout: The process did not exit in time and was killed.
         """
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
@@ -201,11 +209,11 @@ _TRIES = 100
 
 
 class UrController(MockProcess):
-    """A UR controller that runs; give `host` to your client, ports are those of every UR.
+    """Running mock UR controller; clients connect to `host` on the usual UR ports.
 
     Attributes:
-        host: Its address, a loopback one.
-        model: The arm it controls.
+        host: Loopback address of the controller.
+        model: Name of the arm of the controller.
     """
 
     def __init__(
@@ -215,21 +223,22 @@ class UrController(MockProcess):
         self.host, self.model = host, model
 
     def dashboard(self, command: str) -> str:
-        """Send one line to the dashboard server, as from a shell; its answer."""
+        """Send one line to the dashboard server and return its answer."""
         with (
             socket.create_connection((self.host, DASHBOARD), _CONNECT_S) as line,
             line.makefile("rw", encoding="utf-8", newline="\n") as text,
         ):
-            text.readline()  # it greets first
+            text.readline()  # the server sends a greeting first
             text.write(command + "\n")
             text.flush()
             return text.readline().strip()
 
     def press(self, button: str) -> dict[str, Any]:
-        """Press what the teach pendant has, such as `unlock`: how stops are released.
+        """Press a button of the teach pendant, such as `unlock`, which releases stops.
 
         Raises:
-            CommandRefused: It does nothing as things are; the hint says what would.
+            CommandRefused: The button has no effect in the present state; the hint names a button
+                that has an effect.
         """
         return self.tell("pendant", press=button)
 
@@ -241,17 +250,20 @@ class UrController(MockProcess):
 def ur_controller(
     model: str = "ur5", seed: int = 0, *, address: str | None = None, **options: Any
 ) -> Iterator[UrController]:
-    """Start a mock UR controller, wait until it is ready, end it.
+    """Start a mock UR controller, yield it when it is ready, and end it after the block.
 
     Args:
-        model: `ur3`, `ur5`, `ur10` (CB3) or `ur3e`, `ur5e`, `ur10e` (e-Series).
-        seed: Which individual.
-        address: A loopback address; a free one without.
-        **options: Further ones of `hil mock ur`, with `_` for `-`: `speed=10`,
-            `start_q_deg=[0, -90, 90, 0, 90, 0]`, `faults=[{"kind": "cut", "at_s": 2}]`, …
+        model: Name of the arm: `ur3`, `ur5`, `ur10` (CB3) or `ur3e`, `ur5e`, `ur10e` (e-Series).
+        seed: Number that determines the parameters of the simulated individual arm.
+        address: Loopback address of the controller; by default a free address. **options: Further
+            options of `hil mock ur`, with `_` for `-`: `speed=10`, `start_q_deg=[0, -90, 90, 0, 90,
+            0]`, `faults=[{"kind": "cut", "at_s": 2}]`, …
+        **options: Further options of `hil mock ur`, with `_` for `-`: `speed=10`, `start_q_deg=[0,
+            -90, 90, 0, 90, 0]`, `faults=[{"kind": "cut", "at_s": 2}]`, …
 
     Raises:
-        PluginError: An extra is missing, or it does not start with these options.
+        PluginError: An extra of hil that the mock requires is not installed, or the mock does not
+            start with these options.
     """
     require_extras("the mock UR controller", "mock")
     host = address or free_address()
@@ -265,10 +277,10 @@ def ur_controller(
 
 
 def free_address() -> str:
-    """A loopback address on which all ports of a controller are free.
+    """Return a loopback address on which all ports of a controller are free.
 
     Raises:
-        PluginError: There is none.
+        PluginError: No loopback address is free.
     """
 
     def free(address: str, port: int) -> bool:
@@ -287,16 +299,16 @@ def free_address() -> str:
             return address
     raise PluginError(
         "no loopback address is free for a UR controller",
-        hint="this needs Linux, where all of 127.0.0.0/8 is the computer itself; else address=",
+        hint="use Linux, where 127.0.0.0/8 is local, or pass address=",
     )
 
 
 class CanBus(MockProcess):
-    """Drives that run on a bus nobody else has.
+    """Running mock CiA 402 drives on a separate CAN bus.
 
     Attributes:
-        interface, channel: Of the bus, as python-can wants them.
-        model: The arm they move.
+        interface, channel: Interface and channel of the bus for python-can.
+        model: Name of the arm whose drives are simulated.
     """
 
     interface = "hil_unix"
@@ -311,11 +323,11 @@ class CanBus(MockProcess):
 
     @property
     def config(self) -> dict[str, str]:
-        """For `can.Bus(**config)` and `canopen.Network().connect(**config)`."""
+        """Arguments to connect: `can.Bus(**config)`, `canopen.Network().connect(**config)`."""
         return {"interface": self.interface, "channel": self.channel}
 
     def bus(self, **more: Any) -> can.BusABC:
-        """A further participant of the bus; it is shut down when the drives end, at the latest."""
+        """Return a further node of the bus, which is shut down with the drives or earlier."""
         import can
 
         return self._opened.enter_context(
@@ -339,16 +351,19 @@ class CanBus(MockProcess):
 
 @contextlib.contextmanager
 def can_bus(model: str = "lab6", seed: int = 0, **options: Any) -> Iterator[CanBus]:
-    """Start mock drives on a bus of their own, wait until they are there, end them.
+    """Start mock drives on a separate bus, yield them when ready, and end them.
 
     Args:
-        model: A built-in arm.
-        seed: Which individual.
-        **options: Further ones of `hil mock can`, with `_` for `-`: `bitrate=1_000_000`,
+        model: Name of a built-in arm.
+        seed: Number that determines the parameters of the simulated individual arm. **options:
+            Further options of `hil mock can`, with `_` for `-`: `bitrate=1_000_000`, `nodes=[11,
+            12, 13, 14, 15, 16]`, `faults=[{"kind": "emergency", "at_s": 2}]`, …
+        **options: Further options of `hil mock can`, with `_` for `-`: `bitrate=1_000_000`,
             `nodes=[11, 12, 13, 14, 15, 16]`, `faults=[{"kind": "emergency", "at_s": 2}]`, …
 
     Raises:
-        PluginError: An extra is missing, or they do not start with these options.
+        PluginError: An extra of hil that the mock requires is not installed, or the mock does not
+            start with these options.
     """
     require_extras("the mock drives", "can", "mock")
     with own_folder() as folder:
@@ -363,10 +378,10 @@ def can_bus(model: str = "lab6", seed: int = 0, **options: Any) -> Iterator[CanB
 
 
 def require_extras(what: str, *extras: str) -> None:
-    """Check that what a mock needs is installed; nothing is imported.
+    """Raise if a package that a mock requires is not installed; nothing is imported.
 
     Raises:
-        PluginError: It is not; the hint says what to install.
+        PluginError: A package is missing; the hint contains the installation command.
     """
     missing = [module for extra in extras for module in plugins.absent_modules(extra)]
     if missing:
@@ -375,7 +390,7 @@ def require_extras(what: str, *extras: str) -> None:
 
 @contextlib.contextmanager
 def own_folder() -> Iterator[Path]:
-    """A temporary folder with a short path: that of a socket has 107 bytes at most."""
+    """Yield a temporary folder with a short path, because socket paths have at most 107 bytes."""
     with tempfile.TemporaryDirectory(prefix="hil-", ignore_cleanup_errors=True) as folder:
         yield Path(folder)
 
@@ -388,15 +403,16 @@ _LAST_WORDS_S = 5.0
 def running(
     name: str, options: Mapping[str, Any], folder: Path
 ) -> Iterator[tuple[subprocess.Popen[str], Path]]:
-    """Start a mock, wait until it is ready, end it; gives the process and its journal.
+    """Start a mock, yield its process and journal when it is ready, and end it.
 
     Args:
-        name: Of the mock, in the entry points `hil.mocks`.
-        options: Of its command line, with `_` for `-`; `faults` may be a list.
-        folder: For its files.
+        name: Name of the mock in the entry points `hil.mocks`.
+        options: Command-line options of the mock, with `_` for `-`; the value of `faults` can be a
+            list.
+        folder: Folder in which the mock stores its files.
 
     Raises:
-        PluginError: It does not start; the message is what it said.
+        PluginError: The mock does not start; the message contains its error output.
     """
     options = {"journal": folder / "journal.jsonl", **options}
     command = [sys.executable, "-m", "hil.testing.mocks", name, *_arguments(options, folder)]
@@ -411,7 +427,7 @@ def running(
             stderr=errors,
             text=True,
             env=environment,
-            start_new_session=True,  # Ctrl-C is for the tests; they end their mocks themselves
+            start_new_session=True,  # Ctrl-C must reach only the tests, which end their mocks
         ) as process,
     ):
         try:
@@ -446,20 +462,21 @@ def _wait_until_ready(name: str, process: subprocess.Popen[str], said: Path) -> 
         return
     if readable:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(_LAST_WORDS_S)  # its output ends before it does
-    _, _, last = said.read_text("utf-8").strip().rpartition(": error: ")  # after its usage
-    why = last or f"it says nothing for {READY_WITHIN_S:g} s"
+            process.wait(_LAST_WORDS_S)  # the output is closed before the process exits
+    # The error message follows the usage text.
+    _, _, last = said.read_text("utf-8").strip().rpartition(": error: ")
+    why = last or f"it printed nothing for {READY_WITHIN_S:g} s"
     raise PluginError(f"the {name} mock does not start: {why}")
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Be the mock that the first argument names; returns the exit code."""
+    """Run the mock named by the first argument; return the exit code."""
     name, *own = arguments
 
     def end_with_the_input() -> None:
         while os.read(0, 1024):
             pass
-        # To the main thread itself: a signal that another one hears does not wake it.
+        # Sent to the main thread, because a signal handled by a different thread does not wake it.
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
 
     threading.Thread(target=end_with_the_input, name="hil-alone", daemon=True).start()

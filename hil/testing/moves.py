@@ -17,12 +17,12 @@ SPEED_RAD_S = 0.3
 ACCELERATION_RAD_S2 = 1.0
 REST_RAD_S = 0.02
 REST_S = 5.0
-"""At rest is slower than this, and has to be reached within that time."""
+"""Time limit within which all joint speeds must fall below `REST_RAD_S` after a stop [s]."""
 
 LONG_WAY_RAD = 0.4
 AT_SET_POINT_RAD = 0.01
 SURE_S = 0.1
-"""An arm that stays at rest for so long is at rest [s]."""
+"""Time for which the arm must remain static before it counts as static [s]."""
 
 _UNDER_WAY_RAD = 0.02
 _PATIENCE_S = 3.0
@@ -33,20 +33,23 @@ _numbers = itertools.count(1)
 
 
 def standing_at(robot: Robot) -> FloatArray:
-    """(n,) the set-point a robot at rest holds; where it is, if it does not say [rad]."""
+    """Return the set-point (n,) [rad] that a static robot holds.
+
+    If the set-point is unknown, the position is returned.
+    """
     row = robot.read()[-1]
     q, target = np.array(row["q"]), np.array(row["q_target"])
     return np.where(np.abs(q - target) < AT_SET_POINT_RAD, target, q)
 
 
 def room(robot: Robot) -> tuple[float, float]:
-    """How far the last joint can turn up and down from where it stands [rad]."""
+    """Return the distances of the last joint from its upper and lower limits [rad]."""
     q, limits = standing_at(robot)[-1], robot.limits
     return float(limits.q_max[-1] - q), float(q - limits.q_min[-1])
 
 
 def move(robot: Robot, way_rad: float, kind: Literal["move", "trajectory"] = "move") -> Segment:
-    """A slow line of the last joint from where the robot stands, to the side with more room."""
+    """Return a slow motion of the last joint towards the more distant joint limit."""
     up, down = room(robot)
     limits = robot.limits
     velocity = min(SPEED_RAD_S, float(limits.qd_max[-1]) / 2)
@@ -61,34 +64,34 @@ def line(
     acceleration: float,
     kind: Literal["move", "trajectory"] = "move",
 ) -> Segment:
-    """The last joint from where the robot stands to somewhere else, limits or not.
+    """Return a motion of the last joint from the present position, without checking limits.
 
     Args:
-        robot: At rest.
-        way_rad: Which way and how far.
-        velocity: At most, and reached when the way is long enough [rad/s].
-        acceleration: The same [rad/s²].
-        kind: Of the segment.
+        robot: Static robot.
+        way_rad: Distance of the motion with sign [rad].
+        velocity: Maximum velocity, reached if the distance is long enough [rad/s].
+        acceleration: Maximum acceleration, reached if the distance is long enough [rad/s²].
+        kind: Kind of the segment: `move` or `trajectory`.
     """
     q, rate = standing_at(robot), robot.capabilities.rate_hz
     goal = q.copy()
     goal[-1] += way_rad
     ends = tuple(q.tolist()), tuple(goal.tolist())
-    # As little as it takes to get to both: a jolt at the start might be refused by itself.
+    # The jerk is just high enough to reach both limits, because a driver can reject a high jerk.
     jerk = 1.2 * acceleration**2 / velocity
     return _segment(robot, Line(*ends, velocity, acceleration, jerk, rate_hz=rate), kind)
 
 
 def hold(robot: Robot) -> Segment:
-    """One set-point: where the robot stands."""
+    """Return a segment with one set-point at the present position of the robot."""
     return _segment(robot, Hold(tuple(standing_at(robot).tolist())), "hold")
 
 
 def begin(robot: Robot, segment: Segment) -> None:
-    """Start a segment and read until the arm is under way.
+    """Start a segment and read the state until the arm moves.
 
     Raises:
-        AssertionError: It does not get under way.
+        AssertionError: The arm does not start to move in time.
     """
     robot.prepare(segment)
     robot.start()
@@ -99,10 +102,10 @@ def begin(robot: Robot, segment: Segment) -> None:
 
 
 def follow(robot: Robot, segment: Segment) -> StructArray:
-    """Execute a segment to its end; returns the rows that carry its number.
+    """Execute a segment completely; return the rows with the number of the segment.
 
     Raises:
-        AssertionError: It does not end in time.
+        AssertionError: The segment does not end in time.
     """
     robot.prepare(segment)
     robot.start()
@@ -120,10 +123,10 @@ def follow(robot: Robot, segment: Segment) -> StructArray:
 
 
 def settle(robot: Robot) -> None:
-    """Read until the arm is at rest.
+    """Read the state until the arm is static.
 
     Raises:
-        AssertionError: It does not come to rest in time.
+        AssertionError: The arm does not become static in time.
     """
     for row in rows_for(robot, REST_S):
         if not row["status"] & Status.MOVING and np.abs(row["qd"]).max() < REST_RAD_S:
@@ -132,10 +135,12 @@ def settle(robot: Robot) -> None:
 
 
 def rest_time(robot: Robot) -> float:
-    """Read until the arm has stayed at rest for a while; returns since when, device time [s].
+    """Read until the arm has remained static; return when it became static [s].
+
+    The returned time is a device time.
 
     Raises:
-        AssertionError: It does not come to rest in time.
+        AssertionError: The arm does not become static in time.
     """
     since = np.inf
     for row in rows_for(robot, REST_S):
@@ -147,7 +152,10 @@ def rest_time(robot: Robot) -> float:
 
 
 def rows_for(robot: Robot, seconds: float) -> Iterator[np.void]:
-    """Rows for so long by the device clock and, where that is wall time, by ours."""
+    """Yield state rows for a duration on the device clock.
+
+    For robots with a wall clock, the duration must also pass on the host clock.
+    """
     wall = robot.capabilities.clock == "wall"
     until, last = time.monotonic() + seconds, np.inf
     while not wall or time.monotonic() < until:

@@ -1,7 +1,7 @@
-"""The pytest plug-in `hil`: mock robots for other people's tests (entry point group `pytest11`).
+"""Pytest plug-in `hil`: mock robots for tests of other packages (entry point `pytest11`).
 
-Everybody's pytest loads this where hil is installed: it imports nothing else until a fixture is
-used (names of the face `hil.testing` are loaded when asked for), and changes nothing by itself.
+Every pytest session loads this plug-in if hil is installed. The plug-in imports no other module
+until a fixture is used (names of `hil.testing` are loaded on first use), and has no other effect.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ from hil import testing
 T = TypeVar("T")
 
 MARKERS = (
-    "mock_robot(model, seed, **options): what the fixture mock_robot is, such as model='ur10e'",
-    "ur_controller(model, seed, **options): what the fixture ur_controller is, such as speed=10",
-    "can_bus(model, seed, **options): what the fixture can_bus is, such as bitrate=1_000_000",
+    "mock_robot(model, seed, **options): factory of the fixture mock_robot, such as model='ur10e'",
+    "ur_controller(model, seed, **options): factory of the fixture ur_controller, such as speed=10",
+    "can_bus(model, seed, **options): factory of the fixture can_bus, such as bitrate=1_000_000",
 )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Make the markers known, for `--strict-markers` and `pytest --markers`."""
+    """Register the markers, which `--strict-markers` and `pytest --markers` need."""
     for marker in MARKERS:
         config.addinivalue_line("markers", marker)
 
 
 @pytest.fixture
 def mock_robot_factory() -> Iterator[Callable[..., testing.MockRobot]]:
-    """Makes embedded mock robots, each connected; closed after the test."""
+    """Yield a function that creates connected embedded mock robots for one test."""
     with _factory(testing.mock_robot) as make:
         yield make
 
 
 @pytest.fixture
 def ur_controller_factory() -> Iterator[Callable[..., testing.UrController]]:
-    """Starts mock UR controllers, each on its own address; ended after the test."""
+    """Yield a function that starts mock UR controllers with separate addresses for one test."""
     with _factory(testing.ur_controller) as make:
         yield make
 
 
 @pytest.fixture
 def can_bus_factory() -> Iterator[Callable[..., testing.CanBus]]:
-    """Starts mock CiA 402 drives, each arm on its own bus; ended after the test."""
+    """Yield a function that starts mock CiA 402 drives with separate buses for one test."""
     with _factory(testing.can_bus) as make:
         yield make
 
@@ -54,7 +54,7 @@ def can_bus_factory() -> Iterator[Callable[..., testing.CanBus]]:
 def mock_robot(
     request: pytest.FixtureRequest, mock_robot_factory: Callable[..., testing.MockRobot]
 ) -> testing.MockRobot:
-    """A connected robot that exists only in this process; see the marker of the same name."""
+    """Return a connected mock robot inside this process; see the marker `mock_robot`."""
     return _marked(request, "mock_robot", mock_robot_factory)
 
 
@@ -62,7 +62,7 @@ def mock_robot(
 def ur_controller(
     request: pytest.FixtureRequest, ur_controller_factory: Callable[..., testing.UrController]
 ) -> testing.UrController:
-    """A mock UR controller on real sockets; see the marker of the same name."""
+    """Return a mock UR controller on real sockets; see the marker `ur_controller`."""
     return _marked(request, "ur_controller", ur_controller_factory)
 
 
@@ -70,13 +70,13 @@ def ur_controller(
 def can_bus(
     request: pytest.FixtureRequest, can_bus_factory: Callable[..., testing.CanBus]
 ) -> testing.CanBus:
-    """Mock CiA 402 drives on a CAN bus; see the marker of the same name."""
+    """Return mock CiA 402 drives on a CAN bus; see the marker `can_bus`."""
     return _marked(request, "can_bus", can_bus_factory)
 
 
 @pytest.fixture
 def robot_conformance() -> testing.Conformance:
-    """`hil.testing.robot_conformance`: does a driver keep the contract of a robot?"""
+    """Return `hil.testing.robot_conformance`, which checks a driver against the robot protocol."""
     return testing.robot_conformance
 
 
@@ -87,7 +87,10 @@ def _marked(request: pytest.FixtureRequest, name: str, make: Callable[..., T]) -
 
 @contextmanager
 def _factory(start: Callable[..., AbstractContextManager[T]]) -> Iterator[Callable[..., T]]:
-    """Start as many as are asked for, end all; what cannot be is one message, no traceback."""
+    """Yield a function that starts mocks; all mocks end after the block.
+
+    An error of a mock fails the test without printing a traceback.
+    """
     from hil.core import HilError
 
     with ExitStack() as running:

@@ -1,4 +1,4 @@
-"""From a spec to a judged model: run → fit → evaluate → report."""
+"""Workflows from a spec to an evaluated model: run, fit, evaluate and report."""
 
 import lazy_loader
 

@@ -75,4 +75,4 @@ from .studies import entries_for as entries_for
 from .studies import missing_studies as missing_studies
 from .studies import run_studies as run_studies
 from .studies import study as study
-from .trial import try_out as try_out
+from .trial import simulate as simulate

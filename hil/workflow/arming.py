@@ -1,11 +1,12 @@
-"""Confirmation of motion without an operator at each run: robots named in a file, confirmed once.
+"""Single confirmation of motion for all real robots of a schedule, series or fleet file.
 
-A schedule, a series and a fleet run experiments one after the other or at the same time. Their file
-names every real robot with its address (`robots: {ur5: 192.168.0.5}`). A series and a fleet are
-confirmed when they are started, all robots at once (`confirm_together`). A schedule is armed
-(`arm`), and the record beside its ledger holds until its file, an experiment, the robot's entry in
-the station, or the description of its arm changes. Each run compares again before it moves, as
-files may change while a schedule is running.
+A schedule, a series and a fleet run experiments in sequence or in parallel. Each schedule, series
+or fleet file names every real robot with its address (`robots: {ur5: 192.168.0.5}`). The robots of
+a series or a fleet are confirmed together at the start (`confirm_together`). The motions of a
+schedule are confirmed in advance, by arming the schedule (`arm`). The arming record beside the
+ledger of the schedule stays valid until the schedule file, an experiment, the station entry of the
+robot, or the description of its arm changes. Each run of a schedule checks the arming record again
+before the robot moves, because files may change while the schedule is running.
 """
 
 from __future__ import annotations
@@ -51,18 +52,19 @@ ARMED_FILE = "armed.json"
 FORMAT = 1
 
 NOT_INCLUDED = (
-    "Planned without the robot: the way from where it stands to the first pose is not included."
+    "Planned without a connection: the motion from the present pose to the first pose is not "
+    "included."
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Moves:
-    """The motions of a schedule, a series or a fleet.
+    """Motions that a schedule, a series or a fleet executes.
 
     Attributes:
         file: File that names the robots and their addresses.
-        named: Name of a robot → address, as in the file.
-        experiments: Place in the file (`probe`, `series.0`) → experiment.
+        named: Address of each real robot according to the file, by name of the robot.
+        experiments: Experiments of the file, by position in the file (`probe`, `series.0`).
     """
 
     file: Path
@@ -70,11 +72,11 @@ class Moves:
     experiments: Mapping[str, Experiment]
 
     def real(self) -> tuple[Experiment, ...]:
-        """Return the experiments whose robots are real; nothing is connected.
+        """Return the experiments with real robots, without connecting to the robots.
 
         Raises:
-            SpecError: The file does not name one of these robots, or names another address, or a
-                driver states no address.
+            SpecError: The file does not name one of the real robots or contains a different address
+                for the robot, or a driver does not report an address.
         """
         real: list[Experiment] = []
         wrong: list[str] = []
@@ -85,7 +87,7 @@ class Moves:
                 with opened(name, experiment.robot) as robot:
                     at = address_of(robot)
             except (HilError, TypeError, ValueError):
-                continue  # its run reports that, and moves no robot that was not confirmed
+                continue  # the run reports the error and moves no unconfirmed robot
             if not at.real:
                 continue
             if at.text == UNKNOWN:
@@ -113,10 +115,10 @@ class Moves:
 
 @dataclass(frozen=True, slots=True)
 class Rechecked:
-    """A confirmation that is looked up again before each motion; implements `Confirm`.
+    """Confirmation of motion that is checked again before each motion; implements `Confirm`.
 
     Attributes:
-        granted: Return what was confirmed for a robot, or raise `NotConfirmed`.
+        granted: Function that returns the confirmation for a robot, or raises `NotConfirmed`.
     """
 
     granted: Callable[[str], Granted]
@@ -126,20 +128,20 @@ class Rechecked:
         self.granted(robot).admit(robot, address)
 
     def __call__(self, facts: MotionFacts, meanwhile: Callable[[], object]) -> Document:
-        """See `Confirm`; the plan exists by now, so a file that changed before it is noticed."""
+        """See `Confirm`; this method is called after planning, so changed files are detected."""
         return self.granted(facts.robot)(facts, meanwhile)
 
 
 @dataclass(frozen=True, slots=True)
 class Together:
-    """The confirmation of a series or a fleet, given at its start.
+    """Confirmation of all motions of a series or a fleet, given when the series or fleet starts.
 
     Attributes:
         file: File that names the robots and their addresses.
-        named: Name of a robot → address, as in the file.
-        how: `typed` or `--yes`.
-        by: User who confirmed.
-        digests: Of each experiment that moves a real robot.
+        named: Address of each real robot according to the file, by name of the robot.
+        how: Method of the confirmation, recorded with each run: `typed` or `--yes`.
+        by: Name of the user who confirmed the motions.
+        digests: Digests of the documents of each experiment that moves a real robot.
     """
 
     file: Path
@@ -149,17 +151,18 @@ class Together:
     digests: tuple[Mapping[str, str], ...]
 
     def begin(self, experiment: Experiment) -> Confirm:
-        """Return the confirmation of an experiment; it holds while the experiment is unchanged."""
+        """Return the confirmation of an experiment, valid while its documents do not change."""
         return Rechecked(partial(self._granted, experiment))
 
     def resume(self, robot: str, run: Path) -> Confirm:
-        """Return the confirmation of a run that was begun and confirmed earlier.
+        """Return the confirmation for resuming a run that was started and confirmed earlier.
 
-        A typed name is for the runs that begin; `--yes` is for all robots that the file names.
+        A typed robot name confirms only new runs; `--yes` also confirms resumed runs, for all
+        robots that the file names.
         """
         if self.how != TYPED and robot in self.named:
             return self._at(robot)
-        return Unconfirmed(hint=f"resume this run by itself: hil resume {run}")
+        return Unconfirmed(hint=f"resume this run separately: hil resume {run}")
 
     def _at(self, robot: str) -> Granted:
         return Granted(self.how, self.by, {"robot": robot, "address": self.named[robot]})
@@ -178,26 +181,26 @@ class Together:
         raise NotConfirmed(
             f"{robot} was confirmed when {self.file} was started; changed since: "
             f"{', '.join(changed or now)}",
-            hint="look at the robot, then start again",
+            hint="inspect the robot, then start again",
         )
 
 
 def confirm_together(
     moves: Moves, *, who: str = "", yes: bool = False, console: Console | None = None
 ) -> Together:
-    """Confirm the motion of every real robot now, and return the confirmation.
+    """Ask for confirmation of the motion of every real robot, and return the confirmation.
 
     Args:
-        moves: Of the series or fleet.
-        who: Recorded; by default the user of this process.
-        yes: Confirm without asking.
-        console: Where the names are typed; by default the terminal of this process.
+        moves: Motions of the series or fleet.
+        who: Name of the user who confirms, for the record; by default the user of this process.
+        yes: Whether the motions are confirmed without asking the user.
+        console: Console at which the names are typed; by default the terminal of this process.
 
     Raises:
-        SpecError: The file does not name a robot with its address.
-        NotConfirmed: A name was not typed.
+        SpecError: The file does not name one of the real robots with its address.
+        NotConfirmed: The user did not type the name of a robot.
     """
-    digests = tuple(_digests_of(one) for one in moves.real())  # before the facts are read
+    digests = tuple(_digests_of(one) for one in moves.real())  # before the operator reads the facts
     _answers(moves, who=who, yes=yes, console=console, purpose="move")
     how = "--yes" if yes else TYPED
     return Together(moves.file, dict(moves.named), how, who or this_user(), digests)
@@ -212,22 +215,22 @@ def arm(
     yes: bool = False,
     console: Console | None = None,
 ) -> Document | None:
-    """Confirm the motions of a schedule from now on, and record that.
+    """Arm a schedule: confirm its motions, and write the record of the confirmation.
 
     Args:
-        moves: Of the schedule.
-        folder: Of its state.
-        station: In place of the one the schedule names.
-        who: Recorded; by default the user of this process.
-        yes: Confirm without asking.
-        console: Where the names are typed; by default the terminal of this process.
+        moves: Motions of the schedule that are confirmed.
+        folder: Folder with the state of the schedule.
+        station: Station file that replaces the one in the schedule.
+        who: Name of the user who confirms, for the record; by default the user of this process.
+        yes: Whether the motions are confirmed without asking the user.
+        console: Console at which the names are typed; by default the terminal of this process.
 
     Returns:
-        The record; None if no real robot would move.
+        Record of the confirmation; None if the schedule moves no real robot.
 
     Raises:
-        SpecError: The file does not name a robot with its address.
-        NotConfirmed: A name was not typed.
+        SpecError: The file does not name one of the real robots with its address.
+        NotConfirmed: The user did not type the name of a robot.
     """
     facts = _facts(moves)
     answers = _answers(moves, who=who, yes=yes, console=console, purpose="arm", facts=facts)
@@ -251,15 +254,15 @@ def arm(
 
 
 def require_armed(moves: Moves, folder: Path) -> Confirm | None:
-    """Return the confirmation of a schedule that is armed; None if no real robot would move.
+    """Return the confirmation of an armed schedule; None if the schedule moves no real robot.
 
-    It holds for as long as the schedule is armed: record and files are read again before each
-    motion.
+    The confirmation is valid while the schedule is armed: the arming record and the confirmed files
+    are read again before each motion.
 
     Raises:
-        SpecError: The file does not name a robot with its address.
-        NotConfirmed: The schedule is not armed, or something has changed since.
-        DataError: The record is damaged.
+        SpecError: The file does not name one of the real robots with its address.
+        NotConfirmed: The schedule is not armed, or one of its files was changed after arming.
+        DataError: The arming record is damaged.
     """
     real = moves.real()
     confirm = Rechecked(partial(_armed, moves, folder))
@@ -269,9 +272,9 @@ def require_armed(moves: Moves, folder: Path) -> Confirm | None:
 
 
 def _armed(moves: Moves, folder: Path, robot: str) -> Granted:
-    """Return what the record of a schedule grants a robot now."""
+    """Return the present confirmation for a robot, from the arming record of its schedule."""
     hint = (
-        f"look at the robot, then: hil schedule arm {moves.file}; restart the schedule if it is "
+        f"inspect the robot, then: hil schedule arm {moves.file}; restart the schedule if it is "
         "running"
     )
     document = read_armed(folder)
@@ -296,10 +299,10 @@ def _armed(moves: Moves, folder: Path, robot: str) -> Granted:
 
 
 def read_armed(folder: Path) -> Document | None:
-    """Return the record of an armed schedule; None if it is not armed.
+    """Return the arming record of a schedule; None if the schedule is not armed.
 
     Raises:
-        DataError: The record is damaged.
+        DataError: The arming record is damaged.
     """
     path = folder / ARMED_FILE
     if not path.exists():
@@ -308,12 +311,14 @@ def read_armed(folder: Path) -> Document | None:
     texts = all(isinstance(document.get(key), str) for key in ("how", "by", "at"))
     maps = all(isinstance(document.get(key), dict) for key in ("robots", "digests"))
     if document.get("hil_armed") != FORMAT or not (texts and maps):
-        raise DataError(f"{path} is not the record of an armed schedule", hint="arm it again")
+        raise DataError(
+            f"{path} is not the record of an armed schedule", hint="arm the schedule again"
+        )
     return document
 
 
 def changed_since(document: Mapping[str, Any], moves: Moves) -> list[str]:
-    """Return a short text per difference since a schedule was armed."""
+    """Return the names of the documents that changed after a schedule was armed."""
     then, now = document["digests"], _digests(moves)
     return sorted(what for what in then.keys() | now.keys() if then.get(what) != now.get(what))
 
@@ -327,7 +332,7 @@ def _answers(
     purpose: str,
     facts: Sequence[MotionFacts] = (),
 ) -> dict[str, Document]:
-    """Ask for the name of every real robot; return `how`, `by` and `address` of each."""
+    """Ask for the name of every real robot; return `how`, `by` and `address` of each robot."""
     by = who or this_user()
     if not (real := moves.real()):
         return {}
@@ -338,13 +343,13 @@ def _answers(
     if not console.present:
         which = ", ".join(f"{name} at {at}" for name, at in robots.items())
         raise NotConfirmed(
-            f"{which}: real robots, and their motion cannot be confirmed: no terminal is attached",
-            hint="start it in a terminal; in a script confirm with --yes",
+            f"the motion of real robots cannot be confirmed ({which}): no terminal is attached",
+            hint="start the command in a terminal; in a script, confirm with --yes",
         )
     _show(console, facts or _facts(moves))
     for name in robots:
         console.forget_typed()
-        console.say(ask=f"type {name} to {purpose}, Enter to leave all where they are: ")
+        console.say(ask=f"type {name} to {purpose} this robot, or press Enter to cancel: ")
         if typed_line(console) != name:
             raise NotConfirmed(
                 f"{name} was not confirmed; nothing has moved", hint=f"start again and type {name}"
@@ -353,7 +358,7 @@ def _answers(
 
 
 def _facts(moves: Moves) -> list[MotionFacts]:
-    """Return the facts of every motion of a real robot, planned without connecting to it."""
+    """Return the facts of every motion of a real robot, planned without a robot connection."""
     facts = []
     for experiment in moves.real():
         with planned(experiment) as (robot, plan, _):
@@ -370,16 +375,17 @@ def _show(console: Console, facts: Iterable[MotionFacts]) -> None:
     console.show([NOT_INCLUDED, ""])
     if checklist:
         must = [f"  [ ] {item}" for item in checklist]
-        console.show(["The names also confirm that:", *must])
+        console.show(["Typing the names also confirms that:", *must])
 
 
 def _digests(moves: Moves) -> dict[str, str]:
-    """Return the digest of each document that decides where a robot moves, by its name."""
+    """Return the digest of each document that determines the motion of a real robot, by name."""
     try:
         content = moves.file.read_bytes()
     except OSError as error:
         raise SpecError(
-            f"{moves.file}: cannot be read: {error.strerror}", hint="see whether it exists"
+            f"{moves.file}: cannot be read: {error.strerror}",
+            hint="check that the file exists and is readable",
         ) from None
     digests = {"schedule file": hashlib.sha256(content).hexdigest()}
     for place, one in moves.experiments.items():
@@ -390,9 +396,9 @@ def _digests(moves: Moves) -> dict[str, str]:
 
 
 def _digests_of(experiment: Experiment) -> dict[str, str]:
-    """Return the digests of what decides where an experiment moves its robot."""
+    """Return the digests of the documents that determine the motion of one experiment."""
     robot, entry = experiment.spec.robot, experiment.robot
-    arm_file = model_sha256(entry.model)  # as this process uses it: it is parsed once
+    arm_file = model_sha256(entry.model)  # of the version that this process has loaded
     return {
         "experiment": spec_hash(experiment.spec),
         _entry(robot): digest_of(entry.model_dump(mode="json")),

@@ -1,8 +1,9 @@
-"""Runs in processes of their own, started by the dashboard: start, resume, list and cancel them.
+"""Background runs of the dashboard: start, resume, list and cancel runs in separate processes.
 
-Each is a `hil run` or `hil resume` in a session of its own, which outlives the process that starts
-it. `RUNS/.started/ID.json` says what was started, and `ID.log` is what it prints: a run that fails
-before it has a run directory leaves no other trace.
+Each background run is a `hil run` or `hil resume` in a separate session, which outlives the process
+that starts it. The file `RUNS/.started/ID.json` records the start of a background run, and `ID.log`
+contains the output of its process: a run that fails before it has a run directory leaves no other
+trace.
 """
 
 from __future__ import annotations
@@ -52,26 +53,27 @@ def check_start(
     overrides: Mapping[str, str] | None = None,
     commissioning: Commissioning | None = None,
 ) -> tuple[Experiment, ...]:
-    """Return what would be run: one experiment, or those of a series.
+    """Return the experiments that a file would run: one experiment, or those of a series.
 
     Args:
-        spec: An experiment or a series.
-        station: Its file; by default the one `hil run` would use.
-        overrides: Laid over the spec, YAML text by dotted path.
-        commissioning: What of the plan would be executed, and how fast; None for all of it.
+        spec: Spec file of an experiment or file of a series.
+        station: Station file; by default the station that `hil run` would use.
+        overrides: Overrides of the spec: YAML text by dotted path.
+        commissioning: Part of the plan to execute and its speed; None for the whole plan.
 
     Raises:
-        SpecError: Spec or station have problems; all are listed. Or it is a schedule.
-        PluginError: An extra that it needs is not installed.
+        SpecError: The spec or the station has problems, which are all listed, or the file is a
+            schedule.
+        PluginError: A required extra is not installed.
     """
     source = read_source(spec)
     if is_schedule(source):
         raise SpecError(
-            f"{spec} is a schedule, which runs by itself", hint=f"hil schedule run {spec}"
+            f"{spec} is a schedule, not an experiment or a series", hint=f"hil schedule run {spec}"
         )
     if is_series(source):
         if overrides:
-            raise SpecError(f"{spec} is a series: --set is for experiments")
+            raise SpecError(f"{spec} is a series, but --set is only for single experiments")
         experiments = load_series(source, station).experiments
     else:
         experiments = (load_experiment(source, station, overrides=overrides),)
@@ -93,28 +95,30 @@ def start_run(
     first: str = "",
     confirmed: Mapping[str, Any] | None = None,
 ) -> Started:
-    """Start `hil run SPEC --elsewhere` in a session of its own.
+    """Start `hil run SPEC --no-console` in a separate session.
 
     Args:
-        spec: An experiment or a series.
-        runs: The folder of runs.
-        station: Its file; by default the one `hil run` would use.
-        operator: Name of the operator; recorded.
-        overrides: Laid over the spec, YAML text by dotted path.
-        speed: Share of the speed, see `hil.planning.commissioning.commissioning_of`.
-        first: How much of the program is run, see there.
-        confirmed: `MotionFacts.to_dict` of the motion that the operator confirmed; without it, or
-            if the run's motion differs from it, a real robot does not move.
+        spec: Spec file of an experiment or file of a series.
+        runs: Folder in which the run directories are created.
+        station: Station file; by default the station that `hil run` would use.
+        operator: Name of the operator, recorded in the run.
+        overrides: Overrides of the spec: YAML text by dotted path.
+        speed: Ratio of executed speed to planned speed, see
+            `hil.planning.commissioning.commissioning_of`.
+        first: Part of the program to execute, see `hil.planning.commissioning.commissioning_of`.
+        confirmed: Facts of the motion that the operator confirmed (`MotionFacts.to_dict`). A real
+            robot does not move if no facts were confirmed, or if the motion of the run differs from
+            the confirmed facts.
 
     Raises:
-        SpecError, PluginError: See `check_start`; nothing was started.
-        RecordingError: The folder of runs cannot be written to.
+        SpecError, PluginError: The spec is not valid (see `check_start`); no process was started.
+        RecordingError: The folder of the run directories cannot be written to.
     """
     check_start(spec, station, overrides, commissioning_of(speed, first))
     options = [f"--station={station}"] if station else []
     options += [f"--set={path}={value}" for path, value in (overrides or {}).items()]
-    options += [f"--speed={speed}"] if speed else []
-    options += [f"--first={first}"] if first else []
+    options += [f"--speed-scale={speed}"] if speed else []
+    options += [f"--limit={first}"] if first else []
     return _start(
         "run", options, spec, runs, station=station, operator=operator, confirmed=confirmed
     )
@@ -123,7 +127,8 @@ def start_run(
 FOLDER = ".started"
 
 CONFIRMED = ".confirmed"
-"""Suffix of the JSON file with the confirmed facts, beside the record of a start."""
+"""Suffix of the JSON file with the confirmed facts, which lies beside the record of a background
+run."""
 
 
 def _start(
@@ -143,17 +148,17 @@ def _start(
         folder.mkdir(parents=True, exist_ok=True)
         write_replacing(folder / f"{name}{CONFIRMED}", json_document(answer))
         options = [*options, f"--confirmed={folder / name}{CONFIRMED}"]
-    command = [sys.executable, "-P", "-m", "hil", verb, f"--runs={runs}", "--elsewhere", *options]
+    command = [sys.executable, "-P", "-m", "hil", verb, f"--runs={runs}", "--no-console", *options]
     command += [f"--operator={operator}"] if operator else []
     command += ["--", str(what)]  # its name may begin as an option does
     if any("\0" in word for word in command):
         raise SpecError(
-            "a run cannot be started with a NUL character in what it is given",
-            hint="look at the changes and at the name of the operator",
+            "an argument of the run contains a NUL character",
+            hint="check the overrides and the name of the operator",
         )
     process = begin(command, folder / f"{name}.log")
     ticks = ticks_of(process.pid)
-    # Waited for, so that none is left as a zombie.
+    # The thread reaps the ended process, so that no zombie process remains.
     threading.Thread(target=process.wait, name="hil-started", daemon=True).start()
     started = Started(
         id=name, runs=str(runs), spec=str(what), station=str(station or ""), operator=operator,
@@ -162,14 +167,14 @@ def _start(
     try:
         write_replacing(folder / f"{name}.json", json_document(asdict(started)))
     except RecordingError:
-        process.terminate()  # without a record it could neither be listed nor cancelled
+        process.terminate()  # without a record, the run could not be listed or cancelled
         raise
     _remove_old_records(runs)
     return started
 
 
 KEPT = 20
-"""Number of starts whose records and logs are kept."""
+"""Number of background runs whose start records and logs are retained."""
 
 
 def _remove_old_records(runs: Path) -> None:
@@ -180,37 +185,38 @@ def _remove_old_records(runs: Path) -> None:
 
 
 def check_resume(run: Path, runs: Path) -> RunDirectory:
-    """Return a run that can be resumed, as far as its documents say.
+    """Return a run if its documents allow it to be resumed.
 
     Args:
         run: Directory of a run that ended early.
-        runs: The folder of runs that it is in.
+        runs: Folder that contains the run directory.
 
     Raises:
-        DataError: It is live, was completed, or cannot be resumed.
+        DataError: The run is live, is complete, or cannot be resumed.
     """
     directory, run = require_resumable(run), run.resolve()
     if is_live(run) or any(one.alive and one.again == run for one in started_runs(runs)):
-        raise DataError(f"{run} goes on already", hint=f"follow it: hil watch {run}")
+        raise DataError(f"{run} is running already", hint=f"follow the run: hil watch {run}")
     if directory.status == "completed":
-        raise DataError(f"{run} was completed", hint=f"what came of it: hil show {run}")
+        raise DataError(f"{run} was completed", hint=f"show the result: hil show {run}")
     return directory
 
 
 def go_on_with(
     run: Path, runs: Path, *, operator: str = "", confirmed: Mapping[str, Any] | None = None
 ) -> Started:
-    """Start `hil resume RUN --elsewhere` in a session of its own: the arm moves.
+    """Start `hil resume RUN --no-console` in a separate session; the arm moves.
 
     Args:
         run: Directory of a run that ended early.
-        runs: The folder of runs that it is in.
-        operator: Name of the operator; recorded.
-        confirmed: As in `start_run`; not needed if what was confirmed before still holds.
+        runs: Folder that contains the run directory.
+        operator: Name of the operator, recorded in the run.
+        confirmed: Facts of the motion that the operator confirmed, as in `start_run`; not needed if
+            the earlier confirmation of the run is still valid.
 
     Raises:
-        DataError: It is live, was completed, or cannot be resumed; nothing was started.
-        RecordingError: The folder of runs cannot be written to.
+        DataError: The run is live, is complete, or cannot be resumed; no process was started.
+        RecordingError: The folder of the run directories cannot be written to.
     """
     check_resume(run, runs)
     return _start(
@@ -220,18 +226,19 @@ def go_on_with(
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """A run that was started, which need not have a run directory yet.
+    """Record of a started background run, which possibly has no run directory yet.
 
     Attributes:
-        id: Unique in its folder of runs.
-        runs: The folder of runs.
-        spec, station: What was started; the station is empty for the default one. The directory of
-            the run instead of a spec if a run is resumed.
-        operator: Name of the operator.
-        pid: Of its process.
-        ticks: When that process began, in the kernel's clock ticks: another one may get its pid.
-        time: When it was started [s, Unix time].
-        host: Computer that it runs on.
+        id: Identifier of the background run, unique in the folder of the run directories.
+        runs: Folder in which the run directories are created.
+        spec, station: Paths of spec and station; `station` is empty for the default station. If a
+            run is resumed, `spec` is the run directory.
+        operator: Name of the operator, recorded in the run.
+        pid: Process id.
+        ticks: Start time of the process in clock ticks of the kernel, because a process id may be
+            reused.
+        time: Time at which the run was started [s, Unix time].
+        host: Name of the computer on which the process runs.
     """
 
     id: str
@@ -246,61 +253,62 @@ class Started:
 
     @property
     def log(self) -> Path:
-        """File with what it prints."""
+        """File with the printed output of the process of the background run."""
         return Path(self.runs) / FOLDER / f"{self.id}.log"
 
     @property
     def alive(self) -> bool:
-        """Whether its process still runs."""
+        """Whether the process of the background run is still running."""
         return self.host == platform.node() and 0 < self.ticks == ticks_of(self.pid)
 
     @property
     def made(self) -> list[Path]:
-        """Its run directories: none while it plans, several for a series."""
+        """Run directories of the process: none while the process plans, several for a series."""
         if (again := self.again) is not None:
             return [again] if self._holds(again) or self._has_resumed(again) else []
         return known_runs(Path(self.runs)).started_as(self.id)
 
     @property
     def again(self) -> Path | None:
-        """The run that it resumes; None if it starts a new one."""
+        """Directory of the run that is resumed; None if the process starts a new run."""
         run, root = Path(self.spec), Path(self.runs).resolve()
         return run if run.is_dir() and run.resolve().is_relative_to(root) else None
 
     @property
     def last_words(self) -> list[str]:
-        """The last lines that it printed."""
+        """Last lines of the output that the process printed."""
         return last_lines(self.log)
 
     def cancel(self, who: str = "") -> None:
-        """End it: as `hil stop` does if it is a live run by now, else as Ctrl-C would.
+        """End the run: in the same way as `hil stop` if the run is live, otherwise as Ctrl-C.
 
-        Does nothing if it has ended.
+        If the run has already ended, `cancel` has no effect.
 
         Args:
-            who: Recorded; by default the operator who started it.
+            who: Name of the user who ends the run, for the record; by default the operator who
+                started the run.
 
         Raises:
-            DataError: Its process is not one that was started here, whatever its record says.
+            DataError: The process with the recorded id was not started by `begin`.
         """
         for run in self.made if self.alive else ():
             if not read_live(run):
-                continue  # it plans or connects, and takes no requests yet
-            with contextlib.suppress(HilError):  # its motion is over
+                continue  # the run is planning or connecting: no requests yet
+            with contextlib.suppress(HilError):  # the motion of the run is over
                 stop_run(run, who=who or self.operator, wait_s=0)
                 return
         if not self.alive:
             return
-        if not is_ours(self.pid, self.id) and self.alive:  # it has not ended just now
+        if not is_ours(self.pid, self.id) and self.alive:  # still running
             raise DataError(
-                f"process {self.pid} is left alone: it is not what was started as {self.id}",
-                hint=f"look at it: ps -fp {self.pid}",
+                f"process {self.pid} was not stopped, because it was not started as {self.id}",
+                hint=f"inspect the process: ps -fp {self.pid}",
             )
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGTERM)
 
     def _holds(self, run: Path) -> bool:
-        """Return whether it holds a run, as from before the way back is planned on."""
+        """Return whether the process holds the lock of a run; the lock is held from planning on."""
         holder = run_holder(run)
         return holder is not None and holder.pid == self.pid and self.alive
 
@@ -313,7 +321,7 @@ class Started:
 
 
 def started_runs(runs: Path) -> list[Started]:
-    """Return what was started, the newest first; damaged records are left out."""
+    """Return the records of all background runs, newest first; damaged records are left out."""
     started: list[Started] = []
     for path in sorted((runs / FOLDER).glob("*.json"), reverse=True):
         with contextlib.suppress(DataError):
@@ -324,7 +332,10 @@ def started_runs(runs: Path) -> list[Started]:
 
 
 def _is_record(record: Mapping[str, Any]) -> bool:
-    """Return whether a document is one that is written here: other users may write there, too."""
+    """Return whether a document has the format of a `Started` record.
+
+    The format is checked because other users may write to the folder of the records.
+    """
     if record.keys() != {field.name for field in fields(Started)}:
         return False
     texts = [record[key] for key in ("spec", "station", "operator", "host")]
@@ -342,15 +353,16 @@ LAST_BYTES = 16 * 1024
 
 
 def begin(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
-    """Start a command in a session of its own.
+    """Start a command in a separate session.
 
     Args:
-        command: Program and arguments; no shell looks at them.
-        log: File for what it prints; made, with its folder, and removed if nothing is started. Its
-            stem names the process in its environment, see `is_ours`.
+        command: Program and its arguments; no shell interprets this command.
+        log: File for the printed output; `begin` creates the file and its folder, and removes the
+            file if the command cannot be started. The stem of the log file's name identifies the
+            process in its environment variables, see `is_ours`.
 
     Raises:
-        RecordingError: The log cannot be written.
+        RecordingError: The log file cannot be written.
     """
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
@@ -368,17 +380,18 @@ def begin(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
             log.unlink()
         raise RecordingError(
             f"cannot write to {log.parent}: {error.strerror or error}",
-            hint="see whether the folder may be written to and the disk has room",
+            hint="check the permissions of the folder and the free disk space",
         ) from error
 
 
 def last_lines(log: Path) -> list[str]:
-    """Return the last lines of a log; of a long one only its end is read.
+    """Return the last lines of a log file; only the end of a long log file is read.
 
-    A link, a pipe or a device of that name is no log: only `begin` makes one.
+    A link, a pipe or a device with the name of a log file is not read, because `begin` creates only
+    regular files.
     """
     try:
-        # Without waiting, in case it is a pipe.
+        # Non-blocking, in case the file is a pipe.
         opened = os.open(log, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
         with open(opened, "rb") as printed:
             about = os.fstat(opened)
@@ -392,7 +405,7 @@ def last_lines(log: Path) -> list[str]:
 
 
 def ticks_of(pid: int) -> int:
-    """Return when a process began, in the kernel's clock ticks; 0 for one that has ended."""
+    """Return the start time of a process in kernel clock ticks; 0 if it has ended."""
     try:
         about = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace")
     except OSError:
@@ -402,10 +415,11 @@ def ticks_of(pid: int) -> int:
 
 
 def is_ours(pid: int, name: str) -> bool:
-    """Return whether a process is a `python -P -m hil …` that `begin` has started under a name.
+    """Return whether `begin` started a process as `python -P -m hil …` under this name.
 
-    A record is no proof, as other users may write in its folder. False for a process that may not
-    be looked at.
+    A start record alone does not prove that `begin` started the process, because other users may
+    write to the folder of the records. The return value is False for a process that this user is
+    not allowed to inspect.
     """
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
@@ -417,9 +431,9 @@ def is_ours(pid: int, name: str) -> bool:
 
 
 SECRETS = ("HIL_TOKEN",)
-"""Environment variables that a run and its plug-ins do not get."""
+"""Names of the environment variables that are not passed to a background run and its plug-ins."""
 
 
 def own_environment() -> dict[str, str]:
-    """Return the environment for a process that is started here: this one's, without secrets."""
+    """Return the environment variables of this process without secrets, for a process to start."""
     return {key: value for key, value in os.environ.items() if key not in SECRETS}

@@ -1,7 +1,8 @@
-"""Checks of an experiment before planning: arm, driver, data for the fits, criteria, extras.
+"""Checks of an experiment before planning: arm, driver, data for the fits, criteria and extras.
 
-A run with poses out of reach, too few measurements for its fits, a criterion that cannot be
-applied, or an extra that is not installed would fail after hours. Nothing connects here.
+Without these checks, a run would fail only after hours, for example because of poses out of reach,
+too few measurements for its fits, a criterion that cannot be applied, or a missing extra. No check
+of the experiment connects to the robot.
 """
 
 from __future__ import annotations
@@ -37,20 +38,20 @@ POSES = ("excitation", "file")
 
 
 def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
-    """Raise if the arm cannot do what the spec asks, or if the run would give no result.
+    """Raise if the arm cannot execute the spec, or if the run would give no result.
 
-    A commissioning run is neither fitted nor judged: only the limits of the arm are checked.
+    A commissioning run is neither fitted nor evaluated, so only the limits of the arm are checked.
 
     Args:
-        experiment: What is to be done, and where.
-        robot: Capabilities of its driver, which need not be connected.
+        experiment: Experiment with spec and station.
+        robot: Capabilities of the robot according to its driver, which may be unconnected.
 
     Raises:
-        SpecError: One line `file:line:column: path: message` per problem: a value beyond the
-            arm's limits; an invalid or out-of-range pose in a file; a fit, study or criterion
-            that lacks data, drive gains or models; a criterion in a unit that the robot does not
-            measure.
-        PluginError: An estimator or a study is missing.
+        SpecError: The message has one line `file:line:column: path: message` per problem: a value
+            beyond the limits of the arm; an invalid or unreachable pose in a waypoint file; a fit,
+            study or criterion that lacks data, drive gains or models; a criterion in a unit that
+            the robot does not measure.
+        PluginError: An estimator or a study of the spec is missing.
     """
     spec, model = experiment.spec, experiment.robot.model
     judged = experiment.commissioning is None
@@ -72,7 +73,7 @@ def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
     source = _source_of(experiment)
     raise refuse(
         [Problem(source.mark(one.path), one.path, one.message) for one in problems],
-        hint=", or ".join(["change these values", *remedies, "take another robot"]),
+        hint=", or ".join(["change these values", *remedies, "choose a different robot"]),
     )
 
 
@@ -82,7 +83,7 @@ def _poses(
     joint_names: tuple[str, ...],
     arm: ArmDescription | None,
 ) -> tuple[int, list[Excess], list[str]]:
-    """Return the number of poses of a program, the problems of its file, and what else helps."""
+    """Return the number of poses of a program, the problems of its waypoint file, and remedies."""
     if program.file is None:
         return program.waypoints, [], []
     try:
@@ -94,14 +95,17 @@ def _poses(
     remedies: list[str] = []
     if arm is not None:
         beyond = _beyond_range(file, arm)
-        # The workspace says nothing of poses that the joints do not reach.
+        # The workspace is checked only for poses within the joint range.
         near, remedies = ([], []) if beyond else _outside(file, arm, experiment)
         messages += beyond + near
     return len(file.q), [Excess(POSES, message) for message in messages], remedies
 
 
 def _beyond_range(file: WaypointFile, arm: ArmDescription) -> list[str]:
-    """Return the poses that are beyond the range of a joint; one suspicion if nearly all are."""
+    """Return a message for each pose that exceeds the joint range.
+
+    If nearly all poses exceed the joint range, a single message states the suspected cause.
+    """
     complaints = [beyond_range(q, arm.joint_names, arm.q_min, arm.q_max) for q in file.q]
     rows = [row for row, complaint in enumerate(complaints) if complaint]
     if suspicion := file.suspected(len(rows)):
@@ -113,7 +117,7 @@ def _beyond_range(file: WaypointFile, arm: ArmDescription) -> list[str]:
 def _outside(
     file: WaypointFile, arm: ArmDescription, experiment: Experiment
 ) -> tuple[list[str], list[str]]:
-    """Return the poses that are outside the workspace, and what helps beside other poses."""
+    """Return messages for the poses outside the workspace, and possible remedies."""
     spec, clearance_m = experiment.spec, experiment.robot.surroundings.clearance_m
     space = declared_space(spec.interlocks, arm, [load.size_m for load in spec.loads])
     if space is None:
@@ -124,9 +128,12 @@ def _outside(
 
 
 def _source_of(experiment: Experiment) -> Source:
-    """Return the spec's file with its overrides, for places in it; without a file only its name."""
+    """Return the spec file with its overrides, which gives the positions in error messages.
+
+    If there is no readable spec file, the returned source contains only the name of the spec.
+    """
     if experiment.spec_source:
-        with contextlib.suppress(SpecError):  # changed since it was loaded
+        with contextlib.suppress(SpecError):  # the file was changed after loading
             source = read_source(experiment.spec_source)
             lay_over(source, experiment.overrides)
             return source
@@ -134,28 +141,30 @@ def _source_of(experiment: Experiment) -> Source:
 
 
 MOST_LENGTHENED = 10_000
-"""Largest number of poses or trajectories that the search for a sufficient program tries."""
+"""Maximum number of poses or trajectories in the search for a sufficiently large program."""
 
 CALIBRATED_LOADS = 3
-"""Minimum number of loads to calibrate drive gains: no load, one load to calibrate with, one load
-to judge."""
+"""Minimum number of loads that a spec needs to calibrate drive gains.
+
+The three loads are no load, one load for the calibration and one load for the validation.
+"""
 
 GAINS_HINT = (
     " → set drive_gain_nm_a in the arm description, or drive_gains_nm_a in the driver options if "
-    "the driver has it"
+    "the driver has this option"
 )
 
 Entry = tuple[KeyPath, str, Any]
-"""Place of a name in the spec, the name, and the estimator or study of that name."""
+"""Path of a plug-in name in the spec, the name, and the estimator or study with this name."""
 
 
 class Size(NamedTuple):
-    """How much a program measures.
+    """Amount of data that a program measures, for the needs of fits and studies.
 
     Attributes:
-        spec: The experiment.
-        motions: Number of different poses or trajectories.
-        rate_hz: Of the recording.
+        spec: Spec of the experiment.
+        motions: Number of different poses or trajectories in the program.
+        rate_hz: Sample rate of the recording [Hz].
     """
 
     spec: ExperimentSpec
@@ -164,17 +173,18 @@ class Size(NamedTuple):
 
     @property
     def held(self) -> int:
-        """Number of the motions that no fit sees."""
+        """Number of poses or trajectories in the hold-out set, which no fit uses."""
         hold_out = self.spec.hold_out
         if isinstance(self.spec.excitation, Fourier):
             return hold_out.trajectories_of(self.motions)
         return hold_out.poses_of(self.motions)
 
     def amounts(self, *, after_hold_out: bool) -> dict[str, int]:
-        """Return what a fit or a study sees, by the words of `Needs.least`.
+        """Return the amount of data for a fit or a study, with the keys of `Needs.least`.
 
         Args:
-            after_hold_out: As a fit, which does not see what is held out; a study sees it all.
+            after_hold_out: Whether to exclude the hold-out set, as for a fit; a study uses all
+                data.
         """
         motions, loads, program = self.motions, len(self.spec.loads), self.spec.excitation
         if after_hold_out:
@@ -191,15 +201,15 @@ class Size(NamedTuple):
 def unmet(
     spec: ExperimentSpec, robot: Capabilities, station_robot: StationRobot, motions: int | None
 ) -> list[Excess]:
-    """Return the unmet needs of the fits, studies and criteria of a spec.
+    """Return a message for each unmet need of the fits, studies and criteria of a spec.
 
-    Plug-ins that state no needs are not refused.
+    A plug-in that declares no needs is always accepted.
 
     Args:
-        spec: The experiment.
-        robot: Capabilities of its driver.
-        station_robot: The arm, and how it is mounted.
-        motions: Different poses or trajectories of the program; None if they are not known.
+        spec: Spec of the experiment.
+        robot: Capabilities of the robot according to its driver.
+        station_robot: Station entry of the arm, which contains its mounting orientation.
+        motions: Number of different poses or trajectories of the program; None if unknown.
     """
     fits: list[Entry] = [
         (("fit", i, "estimator"), one.estimator, estimator(one.estimator, **one.parameters))
@@ -212,7 +222,7 @@ def unmet(
     size = None if motions is None else Size(spec, motions, robot.rate_hz)
     problems = list(_unmet_criteria(spec, robot, [model for _, _, model in fits]))
     if size is not None and spec.fit and size.held >= max(1, size.motions):
-        what = f"holds out all {size.motions} poses of excitation.file and leaves none to fit on"
+        what = f"holds out all {size.motions} poses of excitation.file and leaves none for the fit"
         return [*problems, Excess(("validate", "hold_out"), what)]
     if not (fits or studies):
         return problems
@@ -225,14 +235,14 @@ def unmet(
 def _unmet_criteria(
     spec: ExperimentSpec, robot: Capabilities, models: list[Any]
 ) -> Iterator[Excess]:
-    """Yield the criteria that cannot be applied."""
+    """Yield a message for each criterion that cannot be applied."""
     of_models = [key for key in ("rmse", "nrmse") if getattr(spec.accept, key) is not None]
     honest = any(getattr(model, "protocol", HONEST) == HONEST for model in models)
     for key in of_models if not honest else ():
         why = (
-            "no model of `fit` is judged: all of them follow the protocol of a paper"
+            "no model of `fit` is evaluated: all of them follow the protocol of a paper"
             if models
-            else "there is no model to judge: `fit` is empty"
+            else "there is no model to evaluate: `fit` is empty"
         )
         yield Excess(("accept", key), why)
     ratio = spec.accept.load_error_ratio
@@ -242,7 +252,7 @@ def _unmet_criteria(
     if robot.effort_kind != "current":
         yield Excess(path, f"{spec.robot} measures torques, so no drive gains are calibrated")
     elif len(spec.loads) < CALIBRATED_LOADS:
-        yield Excess(path, "`loads` needs a third load to calibrate the drive gains with")
+        yield Excess(path, "`loads` needs a third load for the calibration of the drive gains")
 
 
 def _unmet_needs(
@@ -252,7 +262,7 @@ def _unmet_needs(
     model: RobotModel,
     size: Size | None,
 ) -> Iterator[Excess]:
-    """Yield the unmet needs of an estimator or study."""
+    """Yield a message for each unmet need of an estimator or study."""
     path, name, plug_in = one
     loaded = any(not load.payload().is_empty for load in spec.loads)
     try:
@@ -275,7 +285,7 @@ def _unmet_needs(
 
 
 def _enough(needs: Needs, size: Size, *, after_hold_out: bool) -> str:
-    """Return the shortest sufficient program as text; empty if none is found."""
+    """Return the shortest sufficient program as text; empty text if the search finds no program."""
     program = size.spec.excitation
     what = "excitation.trajectories" if isinstance(program, Fourier) else "excitation.waypoints"
     if getattr(program, "file", None) is not None:
@@ -288,10 +298,10 @@ def _enough(needs: Needs, size: Size, *, after_hold_out: bool) -> str:
 
 
 def check_driver(experiment: Experiment) -> Capabilities:
-    """Construct the robot's driver, without connecting to the robot; return its capabilities.
+    """Construct the driver without connecting to the robot; return the capabilities of the robot.
 
     Raises:
-        SpecError, PluginError: See `checked_robot`.
+        SpecError, PluginError: The driver or the spec is not usable, see `checked_robot`.
     """
     with checked_robot(experiment) as robot:
         return robot.capabilities
@@ -299,12 +309,13 @@ def check_driver(experiment: Experiment) -> Capabilities:
 
 @contextlib.contextmanager
 def checked_robot(experiment: Experiment) -> Iterator[Robot]:
-    """Open the robot, not connected, for an experiment that its arm can do; close it afterwards.
+    """Open a robot without connecting, check that its arm can execute the experiment, close it.
 
     Raises:
-        SpecError: The driver refuses its options; the message names the station's file and robot.
-            Or the arm cannot do what the spec asks; the message names every place in its file.
-        PluginError: There is no such driver, or it does not load.
+        SpecError: The driver refuses its options (the message names the station file and the
+            robot), or the arm cannot execute the spec (the message names every problem with its
+            place in the spec file).
+        PluginError: The driver does not exist, or cannot be loaded.
     """
     name = experiment.spec.robot
     place = f"{experiment.station_source}: robots.{name}"
@@ -315,7 +326,7 @@ def checked_robot(experiment: Experiment) -> Iterator[Robot]:
         except SpecError as error:
             raise SpecError(f"{place}: {error.message}", hint=error.hint) from error
         except (TypeError, ValueError) as error:
-            # Python's own errors for a constructor that does not have an option.
+            # Python raises these errors if the constructor does not have an option.
             options = ", ".join(experiment.robot.options) or "none"
             raise SpecError(
                 f"{place}: the driver {experiment.robot.driver!r} does not accept its options "
@@ -327,17 +338,17 @@ def checked_robot(experiment: Experiment) -> Iterator[Robot]:
 
 
 def require_extras(spec: ExperimentSpec) -> None:
-    """Raise if an experiment could be measured here, but not evaluated.
+    """Raise if a run could be recorded, but not fitted or studied, on this computer.
 
     Raises:
-        PluginError: An extra is missing; all are in the message.
-        SpecError: A fit or study has a parameter that it does not take any more.
+        PluginError: Extras are missing; the message lists all missing extras.
+        SpecError: A fit or study has a parameter that no longer exists.
     """
     require_installed(_evaluators(spec))
 
 
 def _evaluators(spec: ExperimentSpec) -> list[Named]:
-    """Return the estimators and studies of a spec, each with its place in it."""
+    """Return the estimators and studies of a spec, each with its path in the spec."""
     return [
         *(
             (f"fit: {fit.estimator}", estimator(fit.estimator, **fit.parameters))
@@ -348,6 +359,10 @@ def _evaluators(spec: ExperimentSpec) -> list[Named]:
 
 
 def missing_extras(spec: ExperimentSpec) -> list[str]:
-    """Return what `require_extras` would raise, as texts: another computer may have the extras."""
+    """Return the error messages of `require_extras` as texts.
+
+    This function does not raise if extras are missing, because a different computer may have these
+    extras.
+    """
     absent = absent_extras(_evaluators(spec))
     return [f'{what} → pip install "hil[{extra}]"' for what, extra in absent]

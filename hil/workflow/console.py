@@ -1,8 +1,9 @@
-"""The operator's terminal: lines typed at it, text written to it.
+"""Terminal of the operator: read typed lines and write text.
 
-Reading never blocks for longer than asked, as the robot is read while a question waits. Nothing is
-read by a background process, and what was typed before a question is no answer to it. Prompts
-(`operator`) and confirmations (`motion_confirmation`, `arming`) are built on it.
+A read from the terminal does not block longer than requested, because the robot is read while a
+question waits for its answer. A background process reads nothing from the terminal. Text that was
+typed before a question does not count as its answer. The modules for prompts (`operator`) and for
+confirmations (`motion_confirmation`, `arming`) use this module.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ WIDEST = 90
 
 
 class Console:
-    """Lines typed at the terminal; written text goes to standard error.
+    """Terminal of a process, from which lines are read; texts are written to standard error.
 
-    A background process (`hil run … &`) reads nothing: the system would suspend all of it, the
-    control of the robot included.
+    A background process (`hil run … &`) reads nothing, because the operating system would suspend
+    the whole process, including the control of the robot.
 
     Args:
-        read: Whether anything is read at all.
+        read: Whether typed lines are read from the terminal.
     """
 
     def __init__(self, *, read: bool = True) -> None:
@@ -37,18 +38,21 @@ class Console:
 
     @property
     def present(self) -> bool:
-        """Whether an operator may sit there."""
+        """Whether a terminal at which an operator can answer is attached."""
         return self._read and not self._ended and sys.stdin is not None and sys.stdin.isatty()
 
     def forget_typed(self) -> None:
-        """Drop what was typed before a question: it is no answer to it."""
+        """Discard the text that was typed before a question, because this text is not an answer."""
         self._typed = b""
         if self.present and self._in_foreground():
             with contextlib.suppress(termios.error, OSError):
                 termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
 
     def line(self, wait_s: float) -> str | None:
-        """Return the line typed within that time [s], without its end; None without one."""
+        """Return the line typed within `wait_s` [s]; None if the user typed no complete line.
+
+        The returned line has neither a line end nor surrounding white space.
+        """
         if not self.present or not self._in_foreground():
             time.sleep(wait_s)
             return None
@@ -64,7 +68,10 @@ class Console:
         return line.decode("utf-8", "replace").strip()
 
     def say(self, *paragraphs: str, ask: str = "") -> None:
-        """Write paragraphs, and a question to be answered on the same line; rings the bell."""
+        """Write paragraphs and a question, and ring the terminal bell.
+
+        The answer is typed on the line of the question.
+        """
         width = min(WIDEST, shutil.get_terminal_size().columns) - 1
         lines = [line for text in paragraphs for line in wrap(text, max(width, 20))]
         start = "\r\x1b[K\a" if sys.stderr.isatty() else "\n"
@@ -72,7 +79,10 @@ class Console:
         sys.stderr.flush()
 
     def show(self, lines: Iterable[str]) -> None:
-        """Write lines; unprintable characters, such as terminal codes of a robot, are replaced."""
+        """Write lines to the terminal.
+
+        Unprintable characters, such as terminal codes from a robot, are replaced by `?`.
+        """
         start = "\r\x1b[K" if sys.stderr.isatty() else ""
         plain = ("".join(c if c.isprintable() else "?" for c in line) for line in lines)
         sys.stderr.write(start + "".join(f"{line}\n" for line in plain))
@@ -82,5 +92,5 @@ class Console:
     def _in_foreground() -> bool:
         try:
             return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
-        except OSError:  # not the terminal that controls this process: it cannot suspend it
+        except OSError:  # not the controlling terminal, which alone can suspend the process
             return True

@@ -1,7 +1,7 @@
-"""`hil fit` and `hil evaluate`: a model from recordings, stored and judged, with a page about it.
+"""Fit and evaluation of a model outside a run (`hil fit`, `hil evaluate`), with a report page.
 
-Here reading recordings, fitting, judging and reporting meet outside a run (`judging` does it in
-one).
+The module reads recordings, fits and evaluates a model, and writes the report page; the module
+`judging` does the same within a run.
 """
 
 from __future__ import annotations
@@ -56,43 +56,45 @@ def fit(
     checkpoints: AnyPath | None = None,
     watch: Watch | None = None,
 ) -> FitReport:
-    """Fit an estimator to recordings, judge it on others, and return the result.
+    """Fit an estimator to recordings, evaluate the model on other recordings, return the result.
 
     Args:
-        sources: Run directories or MCAP files to fit to, or just one.
-        estimator: Name in `hil.estimators`.
-        robot: Built-in arm or URDF; by default that of the data.
-        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload`; 0 for nothing
-            mounted; by default that of the data.
-        gains: File with `drive_gains_nm_a`; by default the gains of the data.
-        validate: Held-out sources, or just one.
-        parameters: The estimator's own parameters.
-        out: Folder in which the model's folder is made.
-        page: File for an HTML report about the held-out sources; None for no report.
-        checkpoints: Folder in which estimators that train networks keep their training, and from
-            which they continue it.
-        watch: Called with every epoch of such a training.
+        sources: Run directories or MCAP files of the training data; a single path is also accepted.
+        estimator: Name of an estimator in `hil.estimators`.
+        robot: Name of a built-in arm or path of a URDF; by default the robot of the recordings.
+        payload: Payload of the recordings: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a
+            `Payload`; 0 for an empty flange; by default the payload that the recordings state.
+        gains: File with `drive_gains_nm_a`; by default the drive gains that the recordings state.
+        validate: Run directories or MCAP files of held-out recordings; a single path is also
+            accepted.
+        parameters: Parameters of the estimator, by name.
+        out: Folder in which the folder of the model is created.
+        page: Path of the HTML report about the held-out recordings; None for no report.
+        checkpoints: Folder in which an estimator that trains networks stores its training state,
+            and from which the estimator continues an earlier training.
+        watch: Callback that receives every epoch of the training of a network.
 
     Raises:
-        DataError: A source cannot be read, or is named for training and validation alike; or the
-            checkpoints are of another training.
-        FitError: The data do not allow the fit, or are of different robots or individuals.
-        PluginError: No such estimator, or it needs extras that are not installed; all are named.
-        SpecError: No such parameter or robot, or an argument is invalid.
-        RecordingError: The model cannot be written there.
+        DataError: A source cannot be read, the same source is named for training and for
+            validation, or the checkpoints belong to a different training.
+        FitError: The data do not allow the fit, or come from different robots.
+        PluginError: The estimator does not exist, or needs extras that are not installed; the
+            message lists all missing extras.
+        SpecError: A parameter or the robot does not exist, or an argument is invalid.
+        RecordingError: The model cannot be written to `out`.
     """
     fitted_to, judged_on = sources_of(sources), paths_of(validate)
     load, calibrated = payload_of(payload), read_gains(path_of(gains)) if gains else None
     folder, trainings = path_of(out), None if checkpoints is None else path_of(checkpoints)
     if page is not None and not judged_on:
         raise SpecError(
-            "a page shows how a model does on held-out recordings, and none was given",
-            hint="name one: hil.fit(…, validate=…)",
+            "the report page needs a hold-out recording, and none was passed",
+            hint="pass a recording: hil.fit(…, validate=…)",
         )
     model = make_estimator(estimator, **_own_parameters(parameters))
     require_installed([(estimator, model)])
-    if folder.exists() and not folder.is_dir():  # before hours of training
-        raise RecordingError(f"{folder} is a file", hint="choose another folder for models")
+    if folder.exists() and not folder.is_dir():  # checked before hours of training
+        raise RecordingError(f"{folder} is a file", hint="choose a different folder for models")
     attach(model, watch, trainings)
     named = robot is not None
     parts = [load_source(source, any_arm=named) for source in fitted_to]
@@ -105,7 +107,7 @@ def fit(
     held_out = [(source, load_source(source, any_arm=named)) for source in judged_on]
     for _, data in held_out:
         _require_same_effort(train, data)
-        # Only the parts that are used must differ: warm-ups of two runs on a mock are the same.
+        # Only the used parts must differ, because warm-ups of two runs on a mock are identical.
         assert_disjoint(usable_part(train, model), usable_part(data, model))
     arm = load_model(robot or train.robot, gravity=train.gravity)
     if isinstance(watch, HearsBeginning) and keeps_checkpoints(model):
@@ -125,10 +127,10 @@ def fit(
 
 
 def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[str, Any]]:
-    """Judge a saved model; return an entry per source, with the keys of `FitReport.to_dict`.
+    """Evaluate a saved model; return one entry per source, with the keys of `FitReport.to_dict`.
 
     Raises:
-        DataError: A source cannot be read, or was among the model's training data.
+        DataError: A source cannot be read, or belongs to the training data of the model.
     """
     judged_on = sources_of(sources)
     stored = load_model_file(path_of(model))
@@ -136,15 +138,17 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
 
 
 def _own_parameters(parameters: dict[str, Any] | None) -> dict[str, Any]:
-    """Return an estimator's own parameters.
+    """Return the parameters of an estimator as a dict.
 
     Raises:
-        SpecError: They are no values by name, or one is an argument of `fit`.
+        SpecError: `parameters` is not a mapping from names to values, or a parameter has the name
+            of an argument of `fit`.
     """
     own = values_by_name(parameters, "parameters", "{'weighted': True}")
     if taken := sorted(own.keys() & signature(fit).parameters.keys()):
         raise SpecError(
-            f"{taken[0]} is no parameter of an estimator", hint=f"hil.fit(…, {taken[0]}=…)"
+            f"{taken[0]} is not an estimator parameter, but an argument of `fit`",
+            hint=f"hil.fit(…, {taken[0]}=…)",
         )
     return own
 
@@ -159,7 +163,7 @@ def _pooled(parts: Sequence[Dataset]) -> Dataset:
 def _require_same_effort(train: Dataset, test: Dataset) -> None:
     if train.effort_kind != test.effort_kind:
         raise FitError(
-            f"the training data hold a {train.effort_kind} [{train.effort_unit}], the validation "
-            f"data a {test.effort_kind} [{test.effort_unit}]",
+            f"the training data contain a {train.effort_kind} [{train.effort_unit}], the "
+            f"validation data a {test.effort_kind} [{test.effort_unit}]",
             hint="fit and validate on recordings of the same quantity",
         )

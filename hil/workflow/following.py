@@ -1,4 +1,4 @@
-"""Following a run from another process (`hil watch`): event log and live view, as they grow."""
+"""Observation of a run from a different process (`hil watch`): growing event log and live view."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ LOOK_EVERY_S = 0.2
 
 
 class EventTail:
-    """Reads an event log as it grows; a line counts once it is whole.
+    """Incremental reader of a growing event log; a line is returned as soon as it is complete.
 
     Args:
-        path: The log; need not exist yet.
-        from_start: Whether the lines that are there already are read, too.
+        path: Path of the event log, which possibly does not exist yet.
+        from_start: Whether the lines that already exist are also read.
     """
 
     def __init__(self, path: Path, *, from_start: bool = False) -> None:
@@ -31,7 +31,7 @@ class EventTail:
         self._offset = 0 if from_start or not path.exists() else path.stat().st_size
 
     def read(self) -> list[dict[str, Any]]:
-        """Return the events since the last call."""
+        """Return the events that were added to the log since the last call."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._offset)
@@ -54,25 +54,25 @@ def _event(line: bytes) -> dict[str, Any] | None:
 def follow(
     run: Path, *, every_s: float = LOOK_EVERY_S, sleep: Callable[[float], object] = time.sleep
 ) -> Iterator[dict[str, Any]]:
-    """Follow a run to its end.
+    """Yield the events and live views of a run until the run ends.
 
     Args:
-        run: The run directory; the run may have ended, or its process died.
-        every_s: Time between two looks [s].
-        sleep: Waits for that long.
+        run: Run directory; the run may have ended, and its process may have died.
+        every_s: Polling interval [s].
+        sleep: Function that waits for a number of seconds.
 
     Yields:
-        `{"kind": "event", "event": …}` for every line of the event log from now on,
-        `{"kind": "live", …}` whenever the live view has changed, and last `{"kind": "end"}` with
-        `status`, `reason`, `verdict` and `exit_code`.
+        Documents in the order of time: `{"kind": "event", "event": …}` for every new line of the
+        event log, `{"kind": "live", …}` whenever the live view has changed, and last `{"kind":
+        "end"}` with `status`, `reason`, `verdict` and `exit_code`.
 
     Raises:
-        DataError: It is no run directory.
+        DataError: The path is not a run directory.
     """
     directory = RunDirectory.open(run)
     log, seen = EventTail(directory.events_path), 0.0
     while True:
-        live = is_live(run)  # before reading: what was written until the end is not missed
+        live = is_live(run)  # checked before reading, so that the last lines are read
         yield from ({"kind": "event", "event": event} for event in log.read())
         view = read_live(run)
         if live and view.get("t", seen) != seen:
@@ -85,14 +85,15 @@ def follow(
 
 
 EXIT_CODES = {"completed": 0, "failed": 4, "tripped": 5, "stopped": 6}
-"""Exit code of `hil run` by outcome, for stop documents without one; 1 for others."""
+"""Exit code of `hil run` by outcome, for stop documents without an exit code; 1 for other
+outcomes."""
 
 
 def how_it_ended(run: RunDirectory) -> dict[str, Any]:
     """Return status, reason, verdict and exit code of a run that is not live.
 
     Raises:
-        DataError: Its documents are damaged.
+        DataError: The documents of the run are damaged.
     """
     stop, status = run.stop or {}, run.status
     verdict = verdict_word(run.path)
@@ -103,7 +104,7 @@ def how_it_ended(run: RunDirectory) -> dict[str, Any]:
     if status == "interrupted":
         view = read_live(run.path)
         reached = f" at step {view['step'] + 1} of {view['steps']}" if "step" in view else ""
-        reason = f"its process died{reached}; what was recorded is kept"
+        reason = f"the process died{reached}; the recorded data are kept"
     return {
         "run": str(run.path),
         "status": status,
@@ -114,25 +115,27 @@ def how_it_ended(run: RunDirectory) -> dict[str, Any]:
 
 
 def newest_live(runs: Path) -> Path:
-    """Return the live run with the highest number.
+    """Return the directory of the live run with the highest number.
 
     Raises:
         DataError: No run is live.
     """
     live = [listing.path for listing in run_listings(runs) if listing.status == "running"]
     if not live:
-        raise DataError(f"no run is live under {runs}", hint=f"list them: hil runs --runs {runs}")
+        raise DataError(
+            f"no run is active under {runs}", hint=f"list all runs: hil runs --runs {runs}"
+        )
     return live[-1]
 
 
 def only_live(runs: Path) -> Path:
-    """Return the one live run.
+    """Return the directory of the only live run.
 
     Raises:
-        DataError: No run is live, or several are.
+        DataError: No run is live, or several runs are live.
     """
     live = [listing.path for listing in run_listings(runs) if listing.status == "running"]
     if len(live) > 1:
         named = ", ".join(path.name for path in live)
-        raise DataError(f"{len(live)} runs are live: {named}", hint="say which one")
+        raise DataError(f"{len(live)} runs are active: {named}", hint="name one of these runs")
     return newest_live(runs)

@@ -1,7 +1,8 @@
-"""The interlocks of a run, as previews, first attempts and resumed attempts make them.
+"""Construction of a run's interlocks, for previews, first attempts and resumed attempts.
 
-They are made once and early, so that one that cannot be judged on this robot is refused before a
-motion has to be confirmed. Folder and recorder of the run, which two of them watch, come later.
+The interlocks are created early, so that an interlock that cannot be evaluated on the robot is
+reported before the operator has to confirm a motion. Two of the interlocks observe the folder and
+the recorder of the run, which do not exist yet and are assigned later.
 """
 
 from __future__ import annotations
@@ -18,20 +19,21 @@ from hil.robot import HasSpeedScaling, Robot
 
 
 class RunInterlocks:
-    """The interlocks that the spec of a run asks for; nothing is started.
+    """Interlocks that the spec of a run requires; their creation does not start the monitoring.
 
     Args:
-        experiment: The spec and the station.
-        robot: Opened.
-        plan: Says which loads will be mounted.
+        experiment: Experiment with spec and station.
+        robot: Opened robot.
+        plan: Plan, which determines the loads that will be mounted.
 
     Attributes:
-        all: Every interlock, with those that are not watched and why. To be closed if an engine
-            has judged them.
+        all: List of all interlocks, including unmonitored interlocks with the reason. The
+            collection of interlocks has to be closed after an engine has used it.
 
     Raises:
-        PlanError: An interlock of the spec cannot be judged on this robot; all are listed.
-        PluginError: A plug-in does not load.
+        PlanError: Interlocks of the spec cannot be evaluated on this robot; the message lists all
+            such interlocks.
+        PluginError: The plug-in of an interlock cannot be loaded.
     """
 
     def __init__(self, experiment: Experiment, robot: Robot, plan: Plan) -> None:
@@ -58,10 +60,10 @@ class RunInterlocks:
         self.all = interlocks_from_spec(experiment.spec.interlocks, context)
 
     def watch_recording(self, folder: Path, recorder: Recorder) -> None:
-        """Watch the disk of a run directory and the backlog of its recorder from now on."""
+        """Monitor the disk of a run directory and the backlog of its recorder from now on."""
         self._recorded = folder, recorder
 
     def _recording(self) -> tuple[Path, Recorder]:
         if self._recorded is None:
-            raise RuntimeError("interlocks are judged before the recording has begun")
+            raise RuntimeError("interlocks were evaluated before the recording began")
         return self._recorded

@@ -1,8 +1,9 @@
-"""After the motion: fits, verdict and studies of a run, until they are done or interrupted.
+"""Steps after the motion of a run: fits, verdict and studies, until all are done or interrupted.
 
-All are pure functions of the run directory. `RUN/.training/<estimator>-<digest>/` holds the
-unfinished training of a network: `hil resume` continues from there after an interruption, and the
-folder is removed once there is a verdict.
+Fits, verdict and studies depend only on the run directory. The folder
+`RUN/.training/<estimator>-<digest>/` contains the unfinished training of a network: `hil resume`
+continues the training after an interruption. The folder of the training is removed when the verdict
+is written.
 """
 
 from __future__ import annotations
@@ -63,16 +64,17 @@ def judge_and_study(
     watching: Observers,
     keep: Callable[[Judged], object] = lambda judged: None,
 ) -> HilError | None:
-    """Fit, judge and study a completed run; return what ended it early, or what is missing.
+    """Fit, evaluate and study a completed run; return the error if results are missing.
 
-    If the run was judged already, because its process died later, only missing studies are made.
+    If the run already has a verdict, because its process died later, only the missing studies are
+    run.
 
     Args:
-        experiment: Of the run.
-        recorded: The run.
-        signals: Watched: a signal ends fits and studies.
-        watching: Receive progress events.
-        keep: Called with every model that is judged now.
+        experiment: Experiment of the run.
+        recorded: Recorded run.
+        signals: Open signal watch; a signal ends fits and studies.
+        watching: Receivers of progress events.
+        keep: Callback that receives every model that is evaluated in this call.
     """
     entries = experiment.spec.study
     if recorded.directory.is_judged:
@@ -92,28 +94,28 @@ def _judge(
     watching: Observers,
     keep: Callable[[Judged], object],
 ) -> HilError | None:
-    """Fit and judge a completed run; return what ended the run or the fit early."""
+    """Fit and evaluate a completed run; return the error that ended the run or the fit early."""
     result = recorded.result
     if result.outcome is not Outcome.COMPLETED:
         return result.error
     if "commissioning" in recorded.directory.start:
-        return None  # a part of the program, or another speed: no model is fitted to that
+        return None  # commissioning runs are not fitted: partial program or reduced speed
     if signals.seen:
         return Stopped(
             "stopped after the motion, before the fit",
             by_signal=True,
-            hint="hil fit RUN -e ESTIMATOR fits what was recorded",
+            hint="fit the recorded data: hil fit RUN -e ESTIMATOR",
         )
     names = ", ".join(fit.estimator for fit in experiment.spec.fit)
-    watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "judging"})
+    watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "evaluating"})
     try:
         judge_run(recorded.directory, experiment.spec, recorded.counts, watching.publish, keep=keep)
     except (Exception, StopSignal) as error:
         if signals.seen:
             path = recorded.directory.path
-            training = "; the training is kept" if has_training(path) else ""
+            training = "; the state of the training is kept" if has_training(path) else ""
             message = f"{signals.reason} during the fits; the recording is complete{training}"
-            return Stopped(message, hint=f"go on with: hil resume {path}", by_signal=True)
+            return Stopped(message, hint=f"continue with: hil resume {path}", by_signal=True)
         if isinstance(error, HilError):
             return error
         raise
@@ -121,13 +123,13 @@ def _judge(
 
 
 def _is_whole(recorded: Recorded) -> bool:
-    """Return whether all of the program was measured as it was planned."""
+    """Return whether the run measured its whole program as planned."""
     commissioning = "commissioning" in recorded.directory.start
     return recorded.result.outcome is Outcome.COMPLETED and not commissioning
 
 
 def _both(fits: HilError | None, studies: HilError | None) -> HilError | None:
-    """Return one error for missing models and missing studies; a stop by signal comes first."""
+    """Return one error for missing models and studies; an error from a signal has priority."""
     if fits is None or studies is None or isinstance(studies, Stopped):
         return studies or fits
     hints = dict.fromkeys(filter(None, (fits.hint, studies.hint)))
@@ -139,7 +141,7 @@ def _both(fits: HilError | None, studies: HilError | None) -> HilError | None:
 def _study(
     entries: Sequence[StudyEntry], recorded: Recorded, signals: SignalWatch, watching: Observers
 ) -> HilError | None:
-    """Make studies of the spec; return what ended them early, or why some are missing."""
+    """Run the studies of the spec; return the error that ended or prevented some of them."""
 
     def watch(name: str, what: str, done: int, total: int) -> None:
         event = {"kind": "study", "study": name, "what": what, "done": done, "total": total}
@@ -152,13 +154,14 @@ def _study(
     if not entries:
         return None
     names = ", ".join(entry.study for entry in entries)
-    watching.publish({"kind": "stage", "stage": f"studying the run: {names}"})
+    watching.publish({"kind": "stage", "stage": f"computing studies: {names}"})
     try:
         return run_studies(path, entries, watch, fit_ended).error
     except (Exception, StopSignal) as error:
         if signals.seen:
             message = f"{signals.reason} during the studies; the run and its models are complete"
-            return Stopped(message, hint=f"make them with: hil study {path}", by_signal=True)
+            hint = f"compute the missing studies: hil study {path}"
+            return Stopped(message, hint=hint, by_signal=True)
         if isinstance(error, HilError):
             return error
         raise
@@ -167,7 +170,7 @@ def _study(
 
 
 def unwatched(event: Mapping[str, Any]) -> None:
-    """Ignore the progress of fits."""
+    """Ignore the progress events of fits."""
 
 
 def judge_run(
@@ -178,28 +181,29 @@ def judge_run(
     *,
     keep: Callable[[Judged], object] = lambda judged: None,
 ) -> bool | None:
-    """Judge a completed run: its recording, and every estimator of the spec on what was held out.
+    """Evaluate the recording and every estimator of a completed run on the hold-out set.
 
-    Each estimator is fitted by itself, on the series of the kinds it learns from: one that fails
-    leaves the others as they are. Writes `fit/…` and `verdict.json` into the run directory. A
-    model that follows a paper's protocol instead of an honest one is reported, but never judged.
-
-    With `validate.under_loads` the models are also judged under every load of the run.
+    Each estimator is fitted separately, to the kinds of series that the estimator uses; a failed
+    fit does not affect the other estimators. The function writes the models below `fit/` and the
+    verdict in `verdict.json` into the run directory. A model that follows the protocol of a paper
+    instead of the protocol `honest` is reported, but no criterion is applied to it. With
+    `validate.under_loads`, the models are also evaluated with every load of the run.
 
     Args:
-        directory: The run.
-        spec: Its spec.
-        counts: Of its recording, see `Recorded.counts`.
-        tell: Receives the progress of the fits, see `FitNews`.
-        keep: Called with every judged model.
+        directory: Run directory.
+        spec: Spec that the run was started with.
+        counts: Counts of the recording, see `Recorded.counts`.
+        tell: Callback that receives the progress of the fits, see `FitNews`.
+        keep: Callback that receives every evaluated model.
 
     Returns:
-        Whether all criteria are met; None if there are none for a model, or if no criterion is
-        missed but no model could be judged.
+        True if all criteria are met, False if at least one criterion is violated. The return value
+        is None if the spec has no criteria for a model, or if no criterion is violated but no model
+        could be evaluated.
 
     Raises:
-        DataError, FitError: At least one model is missing; the message says of each why. The
-            verdict on everything else has been written.
+        DataError, FitError: At least one model is missing; the message contains the reason for each
+            missing model. The verdict on all other results is written before the error is raised.
     """
     if not spec.fit:
         return judge_recording(directory, spec, counts)
@@ -219,7 +223,7 @@ def judge_run(
                 keep(judged[-1])
         except HilError as error:
             problems.append(FailedFit(fit.estimator, error))
-        # Estimators are plug-ins: whatever one of them raises must not cost the others.
+        # Estimators are plug-ins: an error of one must not prevent the other fits.
         except Exception as error:
             problems.append(FailedFit(fit.estimator, broken_down(fit.estimator, error, "it")))
     under: list[Row] = []
@@ -250,7 +254,7 @@ def _judge_one(
 
     fitted = fit_or_continue(directory.path, fit, fitted_from, news.note)
     judged = judged_model(fit.estimator, fitted, parts, spec.accept)
-    if not (fitted.folder / EVALUATION_FILE).exists():  # else a kill before the verdict left it
+    if not (fitted.folder / EVALUATION_FILE).exists():  # exists after a kill before the verdict
         document = judged.document | {"seconds": fitted.seconds}
         directory.write_json(f"fit/{fitted.folder.name}/{EVALUATION_FILE}", document)
     return judged
@@ -278,7 +282,7 @@ def _verdict_document(
 
 
 def _all_in_one(problems: Sequence[FailedFit], directory: RunDirectory) -> HilError:
-    """Return one error for all models that are missing; a `DataError` if all of them are."""
+    """Return one error for all missing models; a `DataError` if all causes are data errors."""
     kind = DataError if all(isinstance(p.error, DataError) for p in problems) else FitError
     messages = [": ".join(filter(None, (p.estimator, p.error.message))) for p in problems]
     hints = list(dict.fromkeys(p.error.hint for p in problems if p.error.hint))
@@ -290,10 +294,10 @@ def _all_in_one(problems: Sequence[FailedFit], directory: RunDirectory) -> HilEr
 def judge_recording(
     directory: RunDirectory, spec: ExperimentSpec, counts: Mapping[str, int]
 ) -> bool | None:
-    """Judge a run by its recording alone and write `verdict.json`; for specs without `fit`.
+    """Evaluate a run by its recording alone, for a spec without `fit`, and write `verdict.json`.
 
     Returns:
-        False when a criterion is missed; else None: no model was judged.
+        False if a criterion is violated; otherwise None, because no model was evaluated.
     """
     document = verdict_document(recording_rows(spec.accept, counts), ())
     directory.write_verdict(document)
@@ -302,10 +306,12 @@ def judge_recording(
 
 
 def missing_models(directory: RunDirectory) -> HilError | None:
-    """Return the error that judging a run ended with, from its verdict; None if there was none.
+    """Return the error about the missing models of a run, according to its verdict.
+
+    The return value is None if no model is missing.
 
     Raises:
-        DataError: The verdict is damaged.
+        DataError: The file of the verdict is damaged.
     """
     rows = read_json(directory.path / "verdict.json").get("problems") or []
     messages = [": ".join(filter(None, (row["estimator"], row["error"]))) for row in rows]
@@ -315,17 +321,17 @@ def missing_models(directory: RunDirectory) -> HilError | None:
 
 
 EVERY_S = 0.1
-"""Least time between two events about epochs [s]."""
+"""Minimum time between two events about training epochs [s]."""
 
 
 class FitNews:
-    """Events about one of the fits of a run; the watch of its trainings.
+    """Publisher of events about one fit of a run; also the callback of its network trainings.
 
     Args:
-        estimator: Its name.
-        number: Of the fit, from 1.
-        total: Number of fits.
-        tell: Receives the events.
+        estimator: Name of the estimator that is fitted.
+        number: Number of this fit within the run, from 1.
+        total: Number of fits of the run.
+        tell: Callback that receives the events.
     """
 
     def __init__(self, estimator: str, number: int, total: int, tell: Tell) -> None:
@@ -333,23 +339,26 @@ class FitNews:
         self._tell, self._often, self._unkept = tell, Throttle(EVERY_S), False
 
     def __call__(self, epoch: Told) -> None:
-        """Tell an epoch if it is time to; the first of every network in any case."""
+        """Publish a training epoch if the minimum time between two events has passed.
+
+        The first epoch of every network is always published.
+        """
         if self._often.due(anyway=epoch.epoch == 1):
             self._tell({"kind": "training", **self._which, "epoch": asdict(epoch)})
 
     def not_kept(self, error: HilError) -> None:
-        """Tell once that the disk does not take the trainings; the fit continues."""
+        """Publish a single note that training checkpoints cannot be stored; the fit continues."""
         if not self._unkept:
-            self.note(f"{error.message}; the fit goes on without")
+            self.note(f"{error.message}; the fit continues without checkpoints")
         self._unkept = True
 
     def note(self, text: str) -> None:
-        """Tell something that an operator should know about the fit."""
+        """Publish a note about the fit for the operator."""
         self._tell({"kind": "fit_note", **self._which, "text": text})
 
     @contextmanager
     def timed(self) -> Iterator[None]:
-        """Tell how long what is inside took, and whether it failed; nothing about an interrupt."""
+        """Publish duration and success of a fit; publish nothing if the fit is interrupted."""
         begin = time.perf_counter()
         try:
             yield
@@ -369,16 +378,17 @@ TRAINING = ".training"
 def fit_or_continue(
     run: Path, fit: Fit, make: Callable[[Path], Fitted], note: Callable[[str], None]
 ) -> Fitted:
-    """Make a fit; trainings of it that were interrupted are continued.
+    """Fit a model and continue its interrupted network trainings.
 
-    A training that cannot be continued, such as one of another version, is removed and begun anew;
-    others of the same fit stay.
+    A training that cannot be continued, for example because a different version wrote its
+    checkpoint, is removed and restarted. Other trainings of the same fit are not removed.
 
     Args:
-        run: The run directory.
-        fit: The entry of the spec.
-        make: Fits, with its trainings in the folder that it is called with.
-        note: Called with the reason for which a training is begun anew.
+        run: Run directory.
+        fit: Entry of the spec for this fit.
+        make: Function that fits the model and stores its trainings in the folder that is passed to
+            it.
+        note: Callback that receives the reason for restarting a training.
     """
     text = json_document({"estimator": fit.estimator, "parameters": fit.parameters})
     digest = hashlib.sha256(text).hexdigest()[:DIGEST_LENGTH]
@@ -392,15 +402,15 @@ def fit_or_continue(
             if refused is None or refused in removed or not refused.is_relative_to(folder):
                 raise
             removed.add(refused)
-            note(f"{error.message}; this training begins anew")
+            note(f"{error.message}; this training starts again from the beginning")
             shutil.rmtree(refused, ignore_errors=True)
 
 
 def forget_training(run: Path) -> None:
-    """Delete the training checkpoints of a run once it has a verdict."""
+    """Delete the training checkpoints of a run that has a verdict."""
     shutil.rmtree(run / TRAINING, ignore_errors=True)
 
 
 def has_training(run: Path) -> bool:
-    """Return whether a training of the run can be continued."""
+    """Return whether the run has a training that can be continued."""
     return any((run / TRAINING).glob("*/**/checkpoint.json"))

@@ -1,8 +1,9 @@
-"""The live view of a run: the file `RUN/.live.json`, by which other processes watch a live run.
+"""Live view of a run: the file `RUN/.live.json`, from which other processes observe a live run.
 
-It is replaced whole, at most four times a second for progress and for the state of the arm, and at
-once when the run changes its state or shows a prompt. It is a view: nothing depends on it, and it
-is removed when the run ends. Readers check every value, as runs may come from elsewhere.
+The live view is replaced atomically: at most four times a second for progress and the state of the
+arm, and at once if the run changes its state or shows a prompt. No function of the run depends on
+the live view, and the file is removed when the run ends. Readers of the live view check every
+value, because a run directory may come from a different computer.
 """
 
 from __future__ import annotations
@@ -34,21 +35,23 @@ LIVE_FILE = ".live.json"
 LIVE_VERSION = 1
 
 EVERY_S = 0.25
-"""Least wall time between two views, but for changes of state and prompts [s]."""
+"""Minimum wall time between two writes of the live view [s]; state changes and prompts are
+written at once."""
 
 LARGEST = 2.0**53
-"""No count and no time of a run is larger."""
+"""Upper bound for every count and every time of a run."""
 
 _NEWS = frozenset({"stage", "state", "prompt"})
 _PROGRESS = frozenset({"step", "progress"})
 
 
 class LiveState:
-    """An observer that writes the live view of one run.
+    """Observer that writes the live view of one run.
 
     Args:
-        run: The run directory.
-        arm: Describes the arm by its rows; None for a view without it.
+        run: Run directory.
+        arm: Description that turns a row into the state of the arm; None for a view without the
+            arm.
     """
 
     wants_rows = True
@@ -71,18 +74,18 @@ class LiveState:
             if self._arm is not None:
                 try:
                     self._shown = self._arm.of(event["rows"])
-                except Exception:  # a driver's rows may be odd; the view has the rest all the same
+                except Exception:  # rows of a driver may be invalid: show the rest
                     self._shown = {}
                 self._write()
             return
         self._standing.take(event)
         if self._standing.state in ENDING:
-            self._shown = {}  # the arm is not read any more
+            self._shown = {}  # the arm is no longer read
         if kind in _NEWS or (kind in _PROGRESS and time.monotonic() >= self._next):
             self._write()
 
     def close(self) -> None:
-        """Remove the view; later events are not written any more. Idempotent."""
+        """Remove the live view and ignore later events; a second call has no effect."""
         with self._writing:
             self._closed = True
             with contextlib.suppress(OSError):
@@ -92,21 +95,22 @@ class LiveState:
         self._next = time.monotonic() + EVERY_S
         about = {"holder": self._holder, "pid": os.getpid(), "updated": utc_now(), "t": time.time()}
         view = {"hil_live": LIVE_VERSION, **self._standing.snapshot(), **self._shown, **about}
-        with self._writing, contextlib.suppress(RecordingError):  # no run ends for lack of a view
+        with self._writing, contextlib.suppress(RecordingError):  # not fatal for the run
             if not self._closed:
                 write_replacing(self._path, json_line(view).encode() + b"\n")
 
 
 def forget_live(run: Path) -> None:
-    """Remove the view of an attempt whose process died: it says nothing of the present one."""
+    """Remove the live view of an attempt whose process died, because it is out of date."""
     with contextlib.suppress(OSError):
         (run / LIVE_FILE).unlink()
 
 
 def read_live(run: Path) -> dict[str, Any]:
-    """Return the live view of a run, or the last one of a run that died; empty without one.
+    """Return the live view of a run; empty if the run has no live view.
 
-    Values of another kind than are written there are left out.
+    If the process of the run died, the last live view that it wrote is returned. Values of an
+    unexpected type are left out of the returned view.
     """
     try:
         view = read_json(run / LIVE_FILE)
@@ -125,7 +129,7 @@ def _is_plain(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    """Return whether a value is a number to calculate with: finite, and exact as a float."""
+    """Return whether a value is a finite number that a float represents exactly."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return is_number and -LARGEST < value < LARGEST
 
@@ -135,7 +139,7 @@ _NUMBERS = {field.name for field in fields(Standing)} - _TEXTS | {"t", "percent"
 
 
 def _fits(key: str, value: Any) -> bool:
-    """Return whether a value is of the kind that its key has."""
+    """Return whether a value has the type that its key requires."""
     if key in _NUMBERS:
         return _is_number(value)
     return isinstance(value, str) or key not in _TEXTS
@@ -148,11 +152,11 @@ FIELDS = {
     "temperature_c": "temperature",
     "q_target_rad": "q_target",
 }
-"""Key in the view → field of the state record."""
+"""Names of the fields of the state record, by key in the live view."""
 
 
 def _arm(written: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arm with a value per joint for each quantity; null if it is not known."""
+    """Return the arm entry with one value per joint for each quantity; null for unknown values."""
     arm = _flat(written)
     count = len(arm["joints"])
     for key in FIELDS:
@@ -163,7 +167,7 @@ def _arm(written: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _flat(written: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the plain values and the lists of such; odd ones in a list are null."""
+    """Return the plain values and the lists of plain values; other list elements become null."""
     flat: dict[str, Any] = {}
     for key, value in written.items():
         if _is_plain(value):
@@ -174,7 +178,7 @@ def _flat(written: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def standing_in(view: Mapping[str, Any]) -> Standing:
-    """Return where a run stands, by its live view; what the view lacks has its default."""
+    """Return the `Standing` of a run from its live view, with defaults for missing values."""
     standing = Standing()
     for field in fields(Standing):
         value, default = view.get(field.name), getattr(standing, field.name)
@@ -186,11 +190,11 @@ def standing_in(view: Mapping[str, Any]) -> Standing:
 
 
 class ArmView:
-    """Describes an arm that is being read, for the live view; judges nothing.
+    """Description of an arm for the live view, which evaluates no interlock.
 
     Args:
-        robot: With joint names and the unit of efforts.
-        interlocks: Those of the run.
+        robot: Capabilities of the robot, with joint names and kind of effort.
+        interlocks: Interlocks of the run.
     """
 
     def __init__(self, robot: Capabilities, interlocks: Iterable[Interlock]) -> None:
@@ -202,7 +206,7 @@ class ArmView:
     def of(self, rows: StructArray) -> dict[str, Any]:
         """Return the last row as the `arm` and `interlocks` entries of the live view.
 
-        An interlock without a margin is left out.
+        An interlock without a margin is left out of the entry.
         """
         row = rows[-1]
         arm = {
@@ -229,12 +233,12 @@ class ArmView:
 
 
 def _numbers(values: Any) -> list[float | None]:
-    """Return values for JSON; what is not measured is null."""
+    """Return the values in a form for JSON; null for values that are not measured."""
     return [_rounded(value) for value in values.tolist()]
 
 
 def _rounded(value: Any) -> Any:
-    """Return a value with six digits, which are enough to look at; NaN and infinity as None."""
+    """Return a value rounded to six significant digits; None for NaN and infinity."""
     if not isinstance(value, float):
         return value
     return float(f"{value:.6g}") if math.isfinite(value) else None

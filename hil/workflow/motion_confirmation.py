@@ -1,11 +1,12 @@
-"""Confirmation that a real robot may move: the facts of the motion are shown, the answer recorded.
+"""Confirmation that a real robot may move: show the facts of the motion, record the answer.
 
-Mocks, loopback addresses and virtual buses need no confirmation (`hil.robot.Address.real`). A real
-robot moves if the operator types its name at the console (`TypedName`), or if the call, the file or
-the form that starts the run names it (`Granted`); otherwise it is not even connected to
-(`Unconfirmed`). The `Gate` of a run asks twice: before connecting, whether the robot can be
-confirmed at all, and before motion, whether these facts are confirmed. An earlier confirmation
-holds as long as robot, address and payload are the same and the motion goes no further and no
+Mocks, loopback addresses and virtual buses need no confirmation of motion
+(`hil.robot.Address.real`). A real robot moves if the operator types its name at the console
+(`TypedName`), or if the call, the file or the form that starts the run names the robot (`Granted`).
+Without either confirmation, hil does not even connect to the robot (`Unconfirmed`). The `Gate` of a
+run checks twice: before connecting, whether the robot can be confirmed at all, and before the
+motion, whether the facts of this motion are confirmed. An earlier confirmation of motion stays
+valid while robot, address and payload are the same and the motion neither sweeps more space nor is
 faster (`differences`).
 """
 
@@ -36,21 +37,22 @@ Document = dict[str, Any]
 
 @dataclass(frozen=True)
 class MotionFacts:
-    """The facts about a motion that an operator has to know before a robot moves.
+    """Facts about a motion that an operator has to know before a robot moves.
 
     Attributes:
-        experiment: Name of the experiment; distinguishes the motions of a series.
-        robot: Name in its station.
-        model, driver: As the station says.
-        address: Address that its commands are sent to.
+        experiment: Name of the experiment, which distinguishes the motions of a series.
+        robot: Name of the robot in its station.
+        model, driver: Model and driver of the robot in the station file.
+        address: Address to which the commands of the robot are sent.
         identity: Model, serial number and firmware of the controller; empty before connecting.
-        loads: Loads in the order of the plan.
-        speed_share: Share of the speeds that the spec asks for; below 1 in commissioning runs.
+        loads: Payloads in the order in which the plan mounts them.
+        speed_share: Ratio of executed speed to the speed of the spec; below 1 in commissioning
+            runs.
         speed_rad_s: Largest speed of any joint [rad/s].
         speed_limit_rad_s: Largest joint speed that the robot allows [rad/s].
-        swept: Duration, ranges of the joints, boxes of tool and elbow.
+        swept: Duration of the motion, range of each joint, and bounding boxes of tool and elbow.
         checklist: Conditions that the operator has to check before the robot moves.
-        changed: Differences from what was confirmed before, each in a few words; shown only.
+        changed: Short texts, one for each difference from an earlier confirmation; only displayed.
     """
 
     experiment: str
@@ -68,11 +70,11 @@ class MotionFacts:
     changed: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
-        """Return plain text, one line per fact."""
+        """Return the facts of the motion as plain text, one line per fact."""
         return aligned(self.rows())
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the facts in words, each with its label."""
+        """Return the facts of the motion as texts, each with its label."""
         kind = f"{self.model}, driver {self.driver}"
         share = "" if self.speed_share == 1.0 else f" ({100 * self.speed_share:.4g} % of the spec)"
         most, limit = (math.degrees(v) for v in (self.speed_rad_s, self.speed_limit_rad_s))
@@ -86,7 +88,7 @@ class MotionFacts:
         return [*rows, *self.swept.rows(), *(("not as confirmed", text) for text in self.changed)]
 
     def to_dict(self) -> Document:
-        """Return the JSON form; SI units."""
+        """Return the JSON form of the facts, in SI units."""
         return {
             "experiment": self.experiment,
             "robot": self.robot,
@@ -104,7 +106,7 @@ class MotionFacts:
 
     @cached_property
     def digest(self) -> str:
-        """sha256 of the JSON form."""
+        """SHA-256 digest of the JSON form of the facts."""
         return digest_of(self.to_dict())
 
 
@@ -116,12 +118,13 @@ def _load_words(load: LoadStep) -> str:
 
 
 def motion_facts(experiment: Experiment, robot: Robot, plan: Plan) -> MotionFacts:
-    """Return what has to be confirmed before a plan is executed.
+    """Return the facts that have to be confirmed before a plan is executed.
 
     Args:
-        experiment: Says which robot of which station.
-        robot: Need not be connected; the plan then begins in another pose than the run will.
-        plan: Exactly what is executed.
+        experiment: Experiment, which names robot and station.
+        robot: Robot, connected or not; if the robot is not connected, the plan of a run starts in a
+            different pose.
+        plan: Exactly the plan that will be executed.
     """
     commissioning, model = experiment.commissioning, experiment.robot.model
     return MotionFacts(
@@ -149,24 +152,25 @@ def _identity_words(robot: Robot) -> str:
 
 
 def loads_document(loads: Sequence[LoadStep]) -> list[Document]:
-    """Return the loads of a plan as `start.json` has them."""
+    """Return the payloads of a plan in the format of `start.json`."""
     return [{"mass_kg": one.payload.mass, "com_m": list(one.payload.com)} for one in loads]
 
 
 def digest_of(facts: Mapping[str, Any]) -> str:
-    """Return the sha256 of facts in their JSON form."""
+    """Return the SHA-256 digest of motion facts in their JSON form."""
     text = json.dumps(facts, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def facts_of_all(motions: Sequence[Mapping[str, Any]]) -> Document:
-    """Return the facts that confirm several motions, those of a series, at once.
+    """Return the combined facts for confirming several motions of a series at the same time.
 
     Args:
-        motions: `MotionFacts.to_dict` of each, in the order of execution.
+        motions: Result of `MotionFacts.to_dict` for each motion, in the order of execution.
 
     Returns:
-        What they have in common; of more than one also all of them as `motions`.
+        Dict of the facts that all motions have in common. If there are several motions, the key
+        `motions` contains the separate facts of each motion.
     """
     first = motions[0] if motions else {}
     facts = {key: value for key, value in first.items() if all(value == m[key] for m in motions)}
@@ -174,13 +178,13 @@ def facts_of_all(motions: Sequence[Mapping[str, Any]]) -> Document:
 
 
 class Gate:
-    """Asks in a run whether its robot may move.
+    """Check in a run that the robot of the run is allowed to move.
 
     Args:
-        experiment: Says which robot of which station.
-        confirm: Confirms the motion of a real robot.
-        confirmed: Facts that were confirmed before; they hold unless robot, address or payload
-            has changed, or the motion goes further or is faster.
+        experiment: Experiment, which names robot and station.
+        confirm: Function that confirms the motion of a real robot.
+        confirmed: Facts of an earlier confirmation; valid unless robot, address or payload has
+            changed or the motion sweeps more space or is faster.
     """
 
     def __init__(
@@ -194,21 +198,22 @@ class Gate:
         self._at = Address("unknown")
 
     def admit(self, robot: Robot) -> None:
-        """Raise `NotConfirmed` if a real robot could not be confirmed later.
+        """Raise `NotConfirmed` if the motion of a real robot could not be confirmed later.
 
         Args:
-            robot: Not yet connected: its options alone decide whether it is real.
+            robot: Robot that is not connected yet; only its options decide whether the robot is
+                real.
         """
         name, self._at = self._experiment.spec.robot, address_of(robot)
         if self._at.real and not self._holds({"robot": name, "address": self._at.text}):
             self._confirm.admit(name, self._at.text)
 
     def facts(self, robot: Robot, plan: Plan) -> MotionFacts | None:
-        """Return what has to be confirmed before a plan is executed; None if nothing has to be.
+        """Return the facts to confirm before a plan is executed; None if no confirmation is needed.
 
         Args:
-            robot: Admitted and connected, at rest.
-            plan: Exactly what is executed.
+            robot: Connected robot that `admit` has accepted, at standstill.
+            plan: Exactly the plan that will be executed.
         """
         if not self._at.real:
             return None
@@ -219,14 +224,14 @@ class Gate:
         return None if same and not changed else replace(facts, changed=tuple(changed))
 
     def confirmation(self, robot: Robot, plan: Plan) -> Document | None:
-        """Return the record of the confirmation of a motion; None if none is needed.
+        """Return the record of the confirmation of a motion; None if no confirmation is needed.
 
         Args:
-            robot: Admitted and connected, at rest.
-            plan: Exactly what is executed.
+            robot: Connected robot that `admit` has accepted, at standstill.
+            plan: Exactly the plan that will be executed.
 
         Raises:
-            NotConfirmed: The motion was not confirmed.
+            NotConfirmed: The operator did not confirm the motion.
         """
         facts = self.facts(robot, plan)
         if facts is None:
@@ -236,46 +241,53 @@ class Gate:
         except NotConfirmed as refused:
             if not facts.changed:
                 raise
-            message = f"{refused.message}; not as confirmed before: {'; '.join(facts.changed)}"
+            message = (
+                f"{refused.message}; changed since the earlier confirmation: "
+                f"{'; '.join(facts.changed)}"
+            )
             raise NotConfirmed(message, hint=refused.hint) from None
         return {**answer, "time": utc_now(), "facts": facts.to_dict(), "digest": facts.digest}
 
     def _holds(self, now: Mapping[str, Any]) -> bool:
-        """Return whether the earlier confirmation has the same facts."""
+        """Return whether the earlier confirmation contains every value of `now`."""
         return all(self._confirmed.get(key) == value for key, value in now.items())
 
 
 def _keep_reading(robot: Robot) -> None:
-    """Read the robot while the facts are read: its driver must neither fill up nor time out."""
+    """Keep reading the robot while the operator reads the facts of the motion.
+
+    Without these reads, the receive buffer of the driver overflows or the connection times out.
+    """
     robot.read()
     if isinstance(robot, HasTopics):
         robot.drain()
 
 
 class Confirm(Protocol):
-    """Confirms that a real robot may move."""
+    """Interface of a confirmation that a real robot may move."""
 
     def admit(self, robot: str, address: str) -> None:
-        """Raise `NotConfirmed` if this robot cannot be confirmed; asked before connecting."""
+        """Raise `NotConfirmed` if this robot cannot be confirmed; called before connecting."""
 
     def __call__(self, facts: MotionFacts, meanwhile: Callable[[], object]) -> Document:
-        """Return how and by whom the motion was confirmed.
+        """Return the method of the confirmation and the user who confirmed the motion.
 
         Args:
-            facts: Of the motion that is about to begin.
-            meanwhile: Called while waiting; keeps reading the robot.
+            facts: Facts of the motion that is about to begin.
+            meanwhile: Function that is called repeatedly while the operator decides; it keeps
+                reading the robot.
 
         Raises:
-            NotConfirmed: It was not.
+            NotConfirmed: The operator did not confirm the motion.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class Unconfirmed:
-    """The default: no real robot moves.
+    """Default confirmation, which refuses every motion of a real robot.
 
     Attributes:
-        hint: How the motion is confirmed here; by default as in a call in Python.
+        hint: Hint on how to confirm the motion; by default the hint for a call in Python.
     """
 
     hint: str = ""
@@ -284,7 +296,7 @@ class Unconfirmed:
         """See `Confirm`."""
         raise NotConfirmed(
             f"{robot} at {address} is a real robot, and its motion was not confirmed",
-            hint=self.hint or f"name it in the call: robot={robot!r}",
+            hint=self.hint or f"name the robot in the call: robot={robot!r}",
         )
 
     def __call__(self, facts: MotionFacts, meanwhile: Callable[[], object]) -> Document:
@@ -298,11 +310,11 @@ TYPED = "typed"
 
 @dataclass(frozen=True, slots=True)
 class TypedName:
-    """The operator types the name of the robot at the console.
+    """Confirmation by an operator who types the name of the robot at the console.
 
     Attributes:
-        console: The terminal.
-        who: Recorded; by default the user of this process.
+        console: Terminal.
+        who: Name of the operator, for the record; by default the user of this process.
     """
 
     console: Console
@@ -314,8 +326,8 @@ class TypedName:
             raise NotConfirmed(
                 f"{robot} at {address} is a real robot, and its motion cannot be confirmed: no "
                 "terminal is attached",
-                hint="start it in a terminal; in a script confirm with --yes; to rehearse, start "
-                "a mock robot: hil mock",
+                hint="start the command in a terminal; in a script, confirm with --yes; to "
+                "rehearse, start a mock robot: hil mock",
             )
 
     def __call__(self, facts: MotionFacts, meanwhile: Callable[[], object]) -> Document:
@@ -324,35 +336,40 @@ class TypedName:
         self._show(facts)
         meanwhile()
         self.console.forget_typed()
-        self.console.say(ask=f"type {facts.robot} to move, Enter to leave it where it is: ")
+        self.console.say(ask=f"type {facts.robot} to move this robot, or press Enter to cancel: ")
         typed = typed_line(self.console, meanwhile)
         if typed != facts.robot:
             why = f"{typed!r} was typed" if typed else "its name was not typed"
             raise NotConfirmed(
                 f"{facts.robot} was not confirmed ({why}); nothing has moved",
-                hint=f"run it again and type {facts.robot}",
+                hint=f"run the command again and type {facts.robot}",
             )
         return {"how": TYPED, "by": self.who or this_user()}
 
     def _show(self, facts: MotionFacts) -> None:
         must = [f"  [ ] {item}" for item in facts.checklist]
         about = ["", "A real robot is about to move:", *(f"  {line}" for line in facts.lines())]
-        self.console.show([*about, *(["Its name also confirms that:", *must] if must else [])])
+        if must:
+            about += ["Typing its name also confirms that:", *must]
+        self.console.show(about)
 
 
 ANSWER_WITHIN_S = 300.0
-"""Longest time for an answer: the robot is held meanwhile, and the facts are about the pose it
-stands in [s]."""
+"""Maximum time to wait for the typed name of the robot [s].
+
+The waiting time is limited because the robot is leased meanwhile, and because the facts of the
+motion depend on the present pose of the robot.
+"""
 
 LOOK_EVERY_S = 0.05
 
 
 def typed_line(console: Console, meanwhile: Callable[[], object] = lambda: None) -> str:
-    """Return the line typed within `ANSWER_WITHIN_S`; empty without one.
+    """Return the line typed within `ANSWER_WITHIN_S`; empty if no line was typed.
 
     Args:
-        console: The terminal.
-        meanwhile: Called while waiting.
+        console: Terminal.
+        meanwhile: Function that is called repeatedly while the operator types.
     """
     deadline = time.monotonic() + ANSWER_WITHIN_S
     while console.present and time.monotonic() < deadline:
@@ -363,20 +380,21 @@ def typed_line(console: Console, meanwhile: Callable[[], object] = lambda: None)
 
 
 def was_shown(confirmation: Mapping[str, Any] | None) -> bool:
-    """Return whether the operator has just read the facts at the console."""
+    """Return whether the operator has just read the facts of the motion at the console."""
     return confirmation is not None and confirmation["how"] == TYPED
 
 
 @dataclass(frozen=True, slots=True)
 class Granted:
-    """Confirmed beforehand, for the facts named then and no others.
+    """Confirmation that was given in advance and is valid only for the facts that it contains.
 
     Attributes:
-        how: Recorded: `--yes`, `robot=`, `dashboard`, `armed`.
-        who: Recorded; by default the user of this process.
-        facts: What was confirmed, as in `MotionFacts.to_dict`; missing keys may have any value. Of
-            a series also `motions`, the facts of each experiment in order.
-        more: Recorded, too, such as when and where it was confirmed.
+        how: Method of the confirmation, for the record: `--yes`, `robot=`, `dashboard` or `armed`.
+        who: Name of the user who confirmed, for the record; by default the user of this process.
+        facts: Confirmed facts of the motion, as in `MotionFacts.to_dict`; a missing key allows any
+            value. For a series, the key `motions` of the facts contains the facts of each
+            experiment in order.
+        more: Additional entries of the record, such as time and place of the confirmation.
     """
 
     how: str
@@ -409,12 +427,13 @@ class Granted:
 def _differences_in_series(
     motions: Sequence[Mapping[str, Any]], now: Mapping[str, Any]
 ) -> list[str]:
-    """Return the differences from what was confirmed for this experiment of a series.
+    """Return the differences between present and confirmed facts of an experiment of a series.
 
-    The arm may stand anywhere where the experiments before it went, so that the way to the first
-    pose may sweep what they swept; payload and speed are its own.
+    The arm may stand at any pose that the earlier experiments of the series reached, so the motion
+    to the first pose is allowed to sweep the space of the earlier experiments. Payload and speed
+    must equal the confirmed values of the experiment itself.
     """
-    different = [f"the experiment {now['experiment']} was not shown"]
+    different = [f"the experiment {now['experiment']} was not shown for confirmation"]
     for i, one in enumerate(motions):
         if one["experiment"] == now["experiment"]:
             union = {"swept": _union_of_swept([each["swept"] for each in motions[: i + 1]])}
@@ -424,7 +443,7 @@ def _differences_in_series(
 
 
 def _union_of_swept(spaces: Sequence[Mapping[str, Any]]) -> Document:
-    """Return the ranges of the joints and the boxes that contain those of several motions."""
+    """Return the joint ranges and boxes that enclose the ranges and boxes of several motions."""
     joints = [
         {
             "name": same[0]["name"],
@@ -444,10 +463,10 @@ def _union_of_swept(spaces: Sequence[Mapping[str, Any]]) -> Document:
 
 
 def granted_in(path: Path) -> Granted:
-    """Return the confirmation of a file: `how`, `by` and `facts`.
+    """Return the confirmation that a file contains under the keys `how`, `by` and `facts`.
 
     Raises:
-        DataError: It is no such file.
+        DataError: The file does not contain a confirmation.
     """
     document = read_json(path)
     facts = document.get("facts")
@@ -465,14 +484,15 @@ def granted_in(path: Path) -> Granted:
 
 
 def differences(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return a short text per difference from what was confirmed.
+    """Return a short text for each difference between present and confirmed facts.
 
-    Only keys of both are compared. A motion may sweep less than was confirmed and be slower;
-    the identity and the checklist of the robot are not compared.
+    Only keys that both sets of facts contain are compared. A motion may sweep less space than
+    confirmed and may be slower. Identity and checklist of the robot are not part of the comparison.
 
     Args:
-        confirmed: As in `MotionFacts.to_dict`, or part of it.
-        now: The same of the motion that is about to begin.
+        confirmed: Confirmed facts of a motion, as in `MotionFacts.to_dict`, or a part of these
+            facts.
+        now: Facts of the motion that is about to begin, in the same format.
     """
     both = confirmed.keys() & now.keys()
     equal = [key for key in ("robot", "model", "driver", "address", "loads") if key in both]
@@ -498,7 +518,7 @@ def _in_words(key: str, value: Any) -> str:
 JOINT_SLACK_RAD = math.radians(1.0)
 
 BOX_SLACK_M = 0.01
-"""A confirmation covers motions that go so much further: an arm drifts a little while it stands."""
+"""Distance by which a motion may exceed the confirmed boxes [m], because a static arm drifts."""
 
 
 def _beyond_confirmed(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
@@ -506,7 +526,7 @@ def _beyond_confirmed(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> l
     for was, is_ in zip(confirmed["joints"], now["joints"], strict=False):
         low, high = was["min_rad"] - JOINT_SLACK_RAD, was["max_rad"] + JOINT_SLACK_RAD
         if is_["min_rad"] < low or is_["max_rad"] > high:
-            changes.append(f"{is_['name']} goes {_range(is_)}, confirmed were {_range(was)}")
+            changes.append(f"{is_['name']} moves {_range(is_)}, but {_range(was)} was confirmed")
     for part in ("tool", "elbow"):
         was, is_ = confirmed[part], now[part]
         below = np.array(is_["min_m"]) < np.array(was["min_m"]) - BOX_SLACK_M

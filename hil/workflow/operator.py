@@ -1,17 +1,19 @@
-"""The operator of a run: answers its prompts, confirms its motion and ends its pauses.
+"""Operator channels: answers to prompts, confirmation of motion, and end of pauses of a run.
 
-`OperatorChannel` holds the prompt, the end of pauses and the confirmation of motion of one run;
-`console_channel` makes the one of a run that is started at a terminal. Prompts, such as to mount a
-load, are answered at that terminal, at another one or in the dashboard (`ConsoleOperator`; answers
-from elsewhere arrive through `remote_control`), or by a file that was written before the run
-(`ScriptedOperator`), for CI and for robots that load themselves::
+`OperatorChannel` contains the prompt, the end of pauses and the confirmation of motion of one run;
+`console_channel` creates the channel of a run that is started at a terminal. Prompts, such as a
+request to mount a load, are answered at that terminal, at a different terminal or in the dashboard
+(`ConsoleOperator`; remote answers arrive through `remote_control`). For CI and for robots that
+change loads automatically, prompts are answered from a file written before the run
+(`ScriptedOperator`)::
 
     - {prompt: Remove everything, answer: yes, who: gripper}
     - {prompt: 3 kg cylinder, answer: yes, who: gripper}
 
-in the order of the prompts; `prompt` is a part of the text. A mock on a virtual clock answers by
-itself (`prompt_on`). A run with prompts that could not be answered is refused before anything moves
-(`require_attended`). How motion is confirmed: `motion_confirmation`.
+Each answer belongs to the next prompt; its key `prompt` is a part of the text of the prompt.
+Prompts for a mock on a virtual clock are answered automatically (`prompt_on`). A run whose prompts
+cannot be answered is refused before the robot moves (`require_attended`). The module
+`motion_confirmation` handles the confirmation of motions.
 """
 
 from __future__ import annotations
@@ -33,13 +35,14 @@ from hil.workflow.motion_confirmation import Confirm, TypedName, Unconfirmed
 
 @dataclass(frozen=True, slots=True)
 class OperatorChannel:
-    """How a run reaches its operator.
+    """Connection of a run to its operator: prompts, end of pauses, confirmation of motion.
 
     Attributes:
-        prompt: Asks for a confirmation.
-        go_on: Returns, without waiting, whether the operator ends a pause.
-        wait_s: How long to wait for a robot that another process holds [s].
-        confirm: Confirms that a real robot may move; by default it may not.
+        prompt: Function that asks the operator to carry out an action and to confirm it.
+        go_on: Function that returns, without waiting, whether the operator ends a pause.
+        wait_s: Maximum time to wait for a robot that another process uses [s].
+        confirm: Function that confirms that a real robot may move; by default every motion of a
+            real robot is refused.
     """
 
     prompt: Prompt
@@ -59,17 +62,19 @@ def console_channel(
     """Return the operator channel of a run that is started at the console of this process.
 
     Args:
-        operator: Name of the operator; recorded with the answers.
-        answers: File with the answers to all prompts, in place of asking.
-        wait_s: How long to wait for a robot that another process holds [s].
-        remote: Whether prompts wait for answers from other terminals only.
-        confirm: Confirms that a real robot may move; by default the operator types its name here.
+        operator: Name of the operator, recorded with the answers.
+        answers: File with the answers to all prompts; with this file, the operator is not asked.
+        wait_s: Maximum time to wait for a robot that another process uses [s].
+        remote: Whether prompts are answered only from other terminals.
+        confirm: Function that confirms that a real robot may move; by default the operator types
+            the name of the robot at this console.
 
     Raises:
-        SpecError: The file has mistakes; all are listed. Or answers come from both.
+        SpecError: The file of answers has errors, which are all listed, or both `answers` and
+            `remote` are passed.
     """
     if remote and answers is not None:
-        raise SpecError("--answers and --elsewhere are two ways to answer", hint="choose one")
+        raise SpecError("--answers and --no-console exclude each other", hint="choose one")
     console = Console(read=not remote)
     at_console = ConsoleOperator(operator or "operator", console, remote=remote)
     prompt: Prompt = at_console if answers is None else load_answers(answers)
@@ -78,8 +83,10 @@ def console_channel(
 
 
 NEW_PAUSE_AFTER_S = 3.0
-"""If the console was not read for this long [s], a new pause has begun: lines typed before it are
-discarded."""
+"""Time without a read of the console after which the next read belongs to a new pause [s].
+
+Lines that were typed before a new pause are discarded.
+"""
 
 WAIT_S = 0.05
 YES, NO = ("y", "yes"), ("n", "no")
@@ -87,10 +94,10 @@ YES, NO = ("y", "yes"), ("n", "no")
 
 @runtime_checkable
 class _Operator(Protocol):
-    """A prompt that knows before the run whether it can answer.
+    """Prompt function that can report before a run whether it can answer all prompts of the run.
 
     Attributes:
-        replaces_mock: Whether it also answers for a mock on a virtual clock.
+        replaces_mock: Whether the operator is asked even for a mock on a virtual clock.
     """
 
     @property
@@ -100,13 +107,13 @@ class _Operator(Protocol):
 
 
 class ConsoleOperator:
-    """The engine's `Prompt` for a run with an operator.
+    """Prompt function of the engine for a run with an operator.
 
     Args:
-        who: Recorded for answers at the console.
-        console: Of this process.
-        remote: Whether all answers come from elsewhere: the console is not used, and a mock is
-            asked like any other robot.
+        who: Name of the operator, recorded with the answers typed at the console.
+        console: Console of this process, at which the operator answers.
+        remote: Whether all answers come from other processes; the console is then not used, and
+            prompts of a mock are not answered automatically.
     """
 
     def __init__(
@@ -127,19 +134,19 @@ class ConsoleOperator:
 
     @property
     def attended(self) -> bool:
-        """Whether there is a console that an operator may sit at."""
+        """Whether a console is available at which an operator can answer."""
         return self._console.present
 
     @property
     def replaces_mock(self) -> bool:
-        """Whether it also answers for a mock: only if all answers come from elsewhere."""
+        """Whether the operator is asked even for a mock; True if all answers are remote."""
         return self.remote
 
     def require_answers(self, prompts: Sequence[str], *, resumed: bool) -> None:
-        """Raise if there are prompts that could not be answered.
+        """Raise if the run has prompts that could not be answered.
 
         Raises:
-            PreflightFailed: There is no console.
+            PreflightFailed: The run has prompts, but there is no console.
         """
         if not prompts or self.attended or self.remote:
             return
@@ -147,27 +154,28 @@ class ConsoleOperator:
         raise PreflightFailed(
             f"the run has {many} (first: {prompts[0]!r}) but no console to answer "
             f"{'it' if len(prompts) == 1 else 'them'}",
-            hint="start it in a terminal, or write the answers down: "
-            f"hil {'resume RUN' if resumed else 'run SPEC'} --answers FILE; with --elsewhere it "
-            "waits for hil answer",
+            hint="start the run in a terminal, or pass a file of answers: "
+            f"hil {'resume RUN' if resumed else 'run SPEC'} --answers FILE; with --no-console the "
+            "run waits for hil answer",
         )
 
     def accept_remote_answers(self, run: Path | None) -> None:
-        """Accept answers to this run's prompts from other processes; None stops accepting."""
+        """Accept answers to the prompts of a run from other processes; None ends the acceptance."""
         with self._asking:
             self._run = run
             if run is not None:
-                self._number = 0  # of its prompts
+                self._number = 0  # restart the numbering of prompts
 
     def answer(self, yes: bool, who: str, prompt: str, prompt_number: int = 0) -> str:
-        """Record an answer from another thread; return why it was refused, else an empty string.
+        """Record an answer from another thread; return a reason for refusal, else an empty string.
 
         Args:
-            yes: Whether it is done; a no stops the run.
-            who: Recorded.
-            prompt: The text that is answered; an answer to another one is not taken.
-            prompt_number: Number of the prompt in this run, as the next one may have the same text;
-                0 if only the text is known.
+            yes: Whether the requested action is done; False stops the run.
+            who: Name of the user who answers, for the record.
+            prompt: Text of the prompt to answer; the answer is refused if a different prompt is
+                open.
+            prompt_number: Number of the prompt within this run, needed because a later prompt may
+                have the same text; 0 if only the text is known.
         """
         with self._asking:
             if not self._open_prompt:
@@ -176,29 +184,30 @@ class ConsoleOperator:
                 return f"the open prompt is now: {self._open_prompt!r}"
             if prompt_number not in (0, self._number):
                 return f"prompt {prompt_number} is closed; prompt {self._number} is open"
-            if yes and self._answer is not None:  # a no counts in any case: it stops the run
+            if yes and self._answer is not None:  # "no" always counts, because it stops the run
                 return f"{self._answer.words} already"
             self._answer = Reply(yes, who)
             return ""
 
     def __call__(self, text: str, meanwhile: Callable[[], object]) -> Reply:
-        """Ask and wait.
+        """Show a prompt and wait for the answer.
 
         Args:
-            text: What is to be done and confirmed.
-            meanwhile: Called while waiting; see `hil.engine.Prompt`.
+            text: Action that the operator has to carry out and to confirm.
+            meanwhile: Function that is called repeatedly while the operator decides; see
+                `hil.engine.Prompt`.
 
         Returns:
-            The answer and its author; `NOBODY` if it could not be answered.
+            Answer and name of the user who answered; `NOBODY` if no operator can answer.
         """
         with self._asking:
-            self._number += 1  # in any case: the engine counts this prompt, too
+            self._number += 1  # always, because the engine also counts this prompt
         if not (self.attended or self._run):
             return NOBODY
         with self._asking:
             self._open_prompt, self._answer = text, None
         try:
-            meanwhile()  # lets the last progress line be written before the question
+            meanwhile()  # writes the last progress line before the question
             self._console.forget_typed()
             self._ask(text)
             return self._wait(text, meanwhile)
@@ -207,7 +216,10 @@ class ConsoleOperator:
                 self._open_prompt = ""
 
     def pause_ended_by(self) -> str:
-        """Return the operator's name if Enter was pressed to end a pause, else nothing; no wait."""
+        """Return the operator's name if Enter was pressed to end a pause, else an empty string.
+
+        `pause_ended_by` returns at once, without waiting for input.
+        """
         now = time.monotonic()
         if now - self._last_read > NEW_PAUSE_AFTER_S:
             self._console.forget_typed()
@@ -232,11 +244,11 @@ class ConsoleOperator:
                 return self._final_answer(typed)
             if line is not None:
                 self._console.say(ask="Please type yes or no: ")
-            if not (self.attended or self._run):  # the terminal has gone
+            if not (self.attended or self._run):  # the terminal was closed
                 return NOBODY
             before, pausing = pausing, meanwhile()
             if pausing and not before:
-                self._console.say(f"pausing once the question is answered: {pausing}")
+                self._console.say(f"pausing after the answer to this prompt: {pausing}")
                 self._ask(text)
         self._console.say(f"{reply.words} (not at this terminal)")
         return reply
@@ -247,9 +259,10 @@ class ConsoleOperator:
     def _final_answer(self, typed: None = None) -> Reply | None: ...
 
     def _final_answer(self, typed: Reply | None = None) -> Reply | None:
-        """Return the answer that counts, and take no further one; None if there is none yet.
+        """Return the valid answer and accept no later answer; None if there is no answer yet.
 
-        A no that was taken from elsewhere stops the run, whatever is typed in that moment.
+        A negative answer from another process stops the run, even if a positive answer is typed at
+        the same moment.
         """
         with self._asking:
             replies = [reply for reply in (self._answer, typed) if reply is not None]
@@ -261,12 +274,12 @@ class ConsoleOperator:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """One answer.
+    """Scripted answer to one prompt of a run.
 
     Attributes:
         prompt: Part of the text of the prompt, in upper or lower case.
-        yes: Whether it is done; a no stops the run.
-        who: Recorded as the author of the answer.
+        yes: Whether the requested action is done; False stops the run.
+        who: Name that is recorded as the author of the answer.
     """
 
     prompt: str
@@ -274,16 +287,16 @@ class Answer:
     who: str
 
     def fits(self, text: str) -> bool:
-        """Return whether it answers this prompt."""
+        """Return whether this answer belongs to a prompt with this text."""
         return self.prompt.casefold() in text.casefold()
 
 
 class ScriptedOperator:
-    """The engine's `Prompt` that answers from a list, in order.
+    """Prompt function of the engine that takes the answers from a list, in order.
 
     Args:
-        answers: In the order of the prompts.
-        source: Where they stand, for messages.
+        answers: List of answers in the order of the prompts.
+        source: Name of the source of the answers, used in error messages.
     """
 
     def __init__(self, answers: Sequence[Answer], source: Source | None = None) -> None:
@@ -293,7 +306,12 @@ class ScriptedOperator:
         self._skipping = False
 
     def __call__(self, text: str, meanwhile: Callable[[], object]) -> Reply:
-        """Answer; see `hil.engine.Prompt`. A prompt without its answer raises `SpecError`."""
+        """Return the next answer of the list; see `hil.engine.Prompt`.
+
+        Raises:
+            SpecError: There is no answer for the prompt, or the next answer belongs to a different
+                prompt.
+        """
         meanwhile()
         while self._skipping and self._is_unused(self._next, text):
             self._next += 1
@@ -307,19 +325,23 @@ class ScriptedOperator:
 
     @property
     def replaces_mock(self) -> bool:
-        """Whether it also answers for a mock: always."""
+        """Whether the scripted answers are used even for a mock; always True."""
         return True
 
     def require_answers(self, prompts: Sequence[str], *, resumed: bool = False) -> None:
-        """Compare the answers with all prompts that a run will have; a no ends both.
+        """Raise if the list of answers does not match the prompts that a run will have.
+
+        The comparison of answers and prompts ends at the first negative answer, because that answer
+        stops the run.
 
         Args:
-            prompts: In order.
-            resumed: Whether answers that fit no prompt are left out: a resumed run has not all of
-                the prompts.
+            prompts: Texts of all prompts of the run, in order.
+            resumed: Whether answers without a prompt are skipped, because a resumed run has only
+                some of the prompts.
 
         Raises:
-            SpecError: A prompt has no answer, or an answer no prompt; with file, line and column.
+            SpecError: A prompt has no answer, or an answer has no prompt; the message contains
+                file, line and column.
         """
         self._skipping = resumed
         if resumed:
@@ -365,10 +387,11 @@ class ScriptedOperator:
 
 
 def load_answers(path: str | Path) -> ScriptedOperator:
-    """Return the operator that answers from a YAML file.
+    """Return the prompt function that takes its answers from a YAML file.
 
     Raises:
-        SpecError: With a line `file:line:column: place: message` for every problem.
+        SpecError: The file of answers has errors; the message has one line per error:
+            `file:line:column: place: message`.
     """
     source = read_source(path)
     if isinstance(source.data, list):
@@ -408,37 +431,41 @@ _FORMAT_HINT = "a list of {prompt: part of its text, answer: yes or no, who: nam
 
 
 def prompt_on(robot: Robot, prompt: Prompt) -> Prompt:
-    """Return the prompt for this robot.
+    """Return the prompt function for a run with this robot.
 
-    Mocks on a virtual clock answer themselves, unless answers come from a file or another terminal
-    (`--answers`, `--elsewhere`), which is for testing these.
+    Prompts for a mock on a virtual clock are answered automatically, unless the answers come from a
+    file or another terminal (`--answers`, `--no-console`), which allows tests of these options.
     """
     replaces_mock = isinstance(prompt, _Operator) and prompt.replaces_mock
     return answer_as_mock if robot.capabilities.clock == "virtual" and not replaces_mock else prompt
 
 
 def answer_as_mock(text: str, meanwhile: Callable[[], object]) -> Reply:
-    """Answer for a mock: a robot on a virtual clock mounts the declared load at once."""
+    """Answer the prompt of a run with a mock positively.
+
+    A robot on a virtual clock mounts the declared load at once.
+    """
     return Reply(yes=True, who="mock")
 
 
 def prompts_of(plan: Plan) -> list[str]:
-    """Return all prompts of a plan, in order."""
+    """Return the texts of all prompts of a plan, in order."""
     prompts = (plan.loads[step.load].prompt for step in plan if step.kind == "payload")
     return [text for text in prompts if text]
 
 
 def require_attended(plan: Plan, prompt: Prompt, *, resumed: bool = False) -> None:
-    """Raise, before anything moves, if a run has prompts that could not be answered.
+    """Raise before any motion if a run has prompts that could not be answered.
 
     Args:
-        plan: What is about to be executed.
-        prompt: What answers, from `prompt_on`.
-        resumed: Whether some of the prompts may have been answered in an earlier attempt.
+        plan: Plan that is about to be executed.
+        prompt: Prompt function returned by `prompt_on`.
+        resumed: Whether the run is resumed, so that some prompts may have been answered in an
+            earlier attempt.
 
     Raises:
-        PreflightFailed: It has prompts, and there is no console.
-        SpecError: The answers of a file are not those to its prompts.
+        PreflightFailed: The run has prompts, but there is no console.
+        SpecError: The answers in the file do not match the prompts of the run.
     """
     if isinstance(prompt, _Operator):
         prompt.require_answers(prompts_of(plan), resumed=resumed)

@@ -1,8 +1,8 @@
-"""Passive recording (`hil record`): a robot that another program drives, and nothing is commanded.
+"""Passive recording of a robot that a different program drives (`hil record`); sends no commands.
 
-The result is a run directory whose steps (dwells, moves, trajectories) are found in the samples and
-not planned. Samples are written as the robot sends them; `hil.importers.Segmenter` marks the
-dwells in them as they pass.
+A passive recording creates a run directory whose steps (dwells, moves, trajectories) are detected
+in the samples instead of planned. Samples are written in the order in which the robot sends them;
+`hil.importers.Segmenter` marks the dwells while the samples arrive.
 """
 
 from __future__ import annotations
@@ -40,15 +40,19 @@ from hil.workflow.recording import RunSink, counts_of, describe_robot
 
 @dataclass(frozen=True, slots=True)
 class RecordingRequest:
-    """What is to be recorded, and until when; the first end counts. Ctrl-C always ends it.
+    """Robot and end conditions of a passive recording.
+
+    The recording ends as soon as one of its end conditions occurs. Ctrl-C ends the recording in
+    every case.
 
     Attributes:
-        robot: Name in the station.
+        robot: Name of the robot in the station file.
         name: Name of the recording.
-        for_s: Duration by the robot's clock [s]; None for no end.
-        until_program_stops: End when a program, which may still have to begin, has stopped.
-        payload: The mounted load; None if it was not declared.
-        operator: Name of the operator; empty for the user of this process.
+        for_s: Duration by the robot's clock [s]; None for an unlimited duration.
+        until_program_stops: Whether the recording ends when the robot program stops; the program
+            may start after the recording has begun.
+        payload: Mounted payload; None if no payload was declared.
+        operator: Name of the operator; the user of this process if the name is empty.
     """
 
     robot: str
@@ -61,16 +65,17 @@ class RecordingRequest:
 
 @dataclass(frozen=True, slots=True)
 class PassiveResult:
-    """The result of a passive recording.
+    """Result of a passive recording.
 
     Attributes:
-        run: The run directory.
-        reason: What ended it, in words.
-        counts: Samples, gaps, missing, duplicates and overruns of the robot record.
-        device_s: Duration from the first sample to the last [s].
-        steps: Number of dwells, moves and trajectories in it.
-        notes: Hints about its use.
-        error: What ended it early; None if nothing did.
+        run: Run directory.
+        reason: Reason why the recording ended, as text.
+        counts: Numbers of samples, gaps, missing samples, duplicates and overruns of the robot
+            record.
+        device_s: Duration from the first to the last sample [s].
+        steps: Number of detected dwells, moves and trajectories, by kind.
+        notes: Texts about limits for the use of the recording.
+        error: Error that ended the recording early; None if there was no error.
     """
 
     run: Path
@@ -82,7 +87,7 @@ class PassiveResult:
     error: HilError | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract of `hil record --json`."""
+        """Return the JSON output of `hil record --json`."""
         document = {
             "run": str(self.run),
             "reason": self.reason,
@@ -106,25 +111,26 @@ def record_passively(
     """Record a robot without driving it.
 
     Args:
-        request: What to record, and until when.
-        station: Station file; by default as for `hil run`, from the present folder.
-        runs: Where run directories are kept.
-        tell: Called with the progress, a line at a time.
+        request: Robot and end conditions of the recording.
+        station: Station file; by default the station that `hil run` would use in the working
+            directory.
+        runs: Folder in which the run directory is created.
+        tell: Callback that receives the progress, one line at a time.
 
     Raises:
-        SpecError: The station has no such robot.
-        PluginError: Its driver cannot record passively.
-        RobotError: It cannot be reached.
-        RecordingError: The run directory cannot be made, or its end not be written.
+        SpecError: The station has no robot with this name.
+        PluginError: The driver of the robot does not support passive recording.
+        RobotError: The robot cannot be reached.
+        RecordingError: The run directory or its stop document cannot be written.
     """
     bench, text, source = find_station(Path.cwd(), station)
     entry = bench.robots.get(request.robot)
     if entry is None:
         raise SpecError(
             f"the station {bench.name!r} has no robot {request.robot!r}",
-            hint=did_you_mean(request.robot, bench.robots) + " (or choose another --station)",
+            hint=did_you_mean(request.robot, bench.robots) + " (or choose a different --station)",
         )
-    # In this process, whatever the station says: there is no arm that would have to be stopped.
+    # A separate process would only serve to stop the arm, which is not driven here.
     robot = open_robot(request.robot, entry.model_copy(update={"own_process": False}))
     with SignalWatch() as signals:
         try:
@@ -146,16 +152,16 @@ def record_passively(
 
 
 def _require_listener(robot: Robot, driver: str) -> Listens:
-    """Return the robot as one that can be recorded passively.
+    """Return the robot; raise if its driver does not support passive recording.
 
     Raises:
-        PluginError: Its driver has not opted into `hil.robot.Listens`.
+        PluginError: The driver does not implement `hil.robot.Listens`.
     """
     if isinstance(robot, Listens):
         return robot
     raise PluginError(
         f"the driver {driver!r} cannot record a robot that it does not drive",
-        hint="record a program of hil's own with: hil run SPEC",
+        hint="to record a motion that hil executes: hil run SPEC",
     )
 
 
@@ -167,10 +173,12 @@ def write_start(
     station_text: str,
     station_source: str,
 ) -> None:
-    """Store the station and the start document; its `passive` distinguishes it from a run's.
+    """Write the station file and the start document of a passive recording.
+
+    The key `passive` of the start document distinguishes a passive recording from a run.
 
     Raises:
-        RecordingError: The disk refuses.
+        RecordingError: One of the files cannot be written to the disk.
     """
     directory.write_text("station.yaml", station_text)
     provenance = collect_provenance()
@@ -198,13 +206,17 @@ def write_start(
 
 
 STOPPED_FOR_S = 1.0
-"""A program that is replaced by another one stops in between, for less than this [s]."""
+"""Stop time after which a robot program counts as ended [s].
+
+If one robot program replaces another, the controller reports a stopped program for less than this
+time.
+"""
 
 SILENT_FOR_S = 5.0
-"""A robot that sends nothing for so long is taken to be gone [s]."""
+"""Time without data after which the robot counts as disconnected [s]."""
 
 NOT_USABLE = Status.FAULT | Status.MASKED
-"""Bits of `status` of which either says that the effort is no measurement."""
+"""Bits of `status` that each mark the effort of a sample as unusable."""
 
 
 class PassiveRun:
@@ -227,7 +239,7 @@ class PassiveRun:
         self._unusable = 0
 
     def record(self) -> PassiveResult:
-        """Record until the end; the stop document is written whatever it is."""
+        """Record until an end condition or an error occurs, then write the stop document."""
         recorder: Recorder | None = None
         sink: RunSink | None = None
         error: HilError | None = None
@@ -266,7 +278,7 @@ class PassiveRun:
             sink.put(rows)
 
     def _why_over(self, sink: RunSink) -> str:
-        """Return why the recording is over; empty while it is not."""
+        """Return the reason why the recording has ended; empty while the recording continues."""
         assert isinstance(self._robot, Listens)
         if self._robot.program_running:
             if not self._began:
@@ -281,7 +293,7 @@ class PassiveRun:
                 return "the program has stopped"
         for_s = self._request.for_s
         if for_s is not None and self._last - self._first >= for_s:
-            return f"{for_s:g} s are over"
+            return f"the duration of {for_s:g} s has elapsed"
         return ""
 
     def _finish(
@@ -295,7 +307,7 @@ class PassiveRun:
         if sink is not None:
             waiting = self._segmenter.flush()
             if waiting is not None:
-                with contextlib.suppress(HilError):  # closing reports it
+                with contextlib.suppress(HilError):  # closing reports the error
                     self._put(sink, waiting)
             problems = sink.close()
         error = error or (problems[0] if problems else None)
@@ -303,7 +315,7 @@ class PassiveRun:
         robot = self._directory.start["robot"]
         payload = self._request.payload or Payload()
         plan = self._steps.document(name=self._request.name, robot=robot, payload=payload)
-        with contextlib.suppress(HilError):  # it can be detected again from the rows
+        with contextlib.suppress(HilError):  # steps can be detected again from the rows
             self._directory.write_json(PASSIVE_PLAN_FILE, plan)
         counts = counts_of(recorder.counts[STATE_TOPIC]) if recorder else {}
         device_s = self._last - self._first if math.isfinite(self._last) else 0.0
@@ -331,10 +343,10 @@ ROTATE_BYTES = 1e9
 
 
 def open_recorder(directory: RunDirectory, robot: Robot, request: RecordingRequest) -> Recorder:
-    """Return the recorder of the robot record and of the robot's further topics.
+    """Return the recorder for the robot record and for the additional topics of the robot.
 
     Raises:
-        RecordingError: The file cannot be made.
+        RecordingError: The recording file cannot be created.
     """
     can, start = robot.capabilities, directory.start
     unit = "A" if can.effort_kind == "current" else "N·m"
@@ -366,7 +378,7 @@ def _notes(request: RecordingRequest, counts: dict[str, int]) -> tuple[str, ...]
     notes = []
     if request.payload is None:
         notes.append(
-            "no load declared: 0 kg assumed; declare one with --payload MASS_KG[,X_M,Y_M,Z_M]"
+            "no payload declared: 0 kg assumed; declare it with --payload MASS_KG[,X_M,Y_M,Z_M]"
         )
     if counts.get("missing"):
         notes.append(f"{counts['missing']} samples are missing in {counts['gaps']} gaps")
@@ -374,39 +386,39 @@ def _notes(request: RecordingRequest, counts: dict[str, int]) -> tuple[str, ...]
 
 
 def unusable_notes(rows: int, counts: Mapping[str, int]) -> tuple[str, ...]:
-    """Return a note if the arm was switched off, braked or stopped for a part of the recording.
+    """Return a note if the arm was switched off, braked or stopped during the recording.
 
     Args:
-        rows: Number of such samples.
-        counts: Of the recording.
+        rows: Number of samples in which the arm was switched off, braked or stopped.
+        counts: Counts of the recording, such as the number of samples.
     """
     if not rows:
         return ()
     return (
-        f"{rows} of {counts.get('samples', rows)} samples are of an arm that was not running "
-        "(switched off, braked, or in a stop): they are kept, and not fitted to",
+        f"{rows} of {counts.get('samples', rows)} samples were measured while the arm was not "
+        "running (switched off, braked, or in a stop): these samples are stored, but not fitted",
     )
 
 
 def fit_notes(steps: Mapping[str, int], robot: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a note if the dwells are too few for a fit, and there are no trajectories.
+    """Return a note if there are too few dwells for a fit and no trajectories.
 
     Args:
-        steps: Number of dwells, moves and trajectories.
-        robot: Of the start document.
+        steps: Number of dwells, moves and trajectories, by kind.
+        robot: Entry of the start document that describes the robot.
     """
     dwells = steps.get("dwell", 0)
     need = 0 if steps.get("trajectory") else dwells_needed(robot)
     if dwells >= need:
         return ()
     return (
-        f"{dwells} dwells are too few for static-wls, which needs {need}: record longer, "
-        "or fit to several recordings",
+        f"{dwells} dwells are too few for static-wls, which needs {need}: record for longer, "
+        "or fit several recordings together",
     )
 
 
 def dwells_needed(robot: Mapping[str, Any]) -> int:
-    """Return the fewest dwells that static-wls needs; 0 where the robot is unknown."""
+    """Return the minimum number of dwells for `static-wls`; 0 if the robot model is unknown."""
     try:
         model = load_model(str(robot["model"]), gravity=robot["gravity_m_s2"])
     except (HilError, KeyError):

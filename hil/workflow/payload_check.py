@@ -1,16 +1,19 @@
-"""Payload check: is the load that is mounted the load declared? Judged before anything is measured.
+"""Payload check: compare the mounted load with the declared load before any measurement.
 
-The engine passes on the settled rows of every dwell (`Engine(..., measured=check.measured)`). At
-each weighing pose the arm rests twice, approached from below and from above: the mean of the two is
-the torque, half their difference the friction (`combined_reading`). What a load adds to the torques
-of the first one at the same poses is compared with what the declared loads would add, so that
-friction and model errors of the arm cancel (`compare_loads`). The first load itself is not checked.
-A `LoadVerdict` has the result for operators and for the event log; a load that is not the declared
-one stops the run, unless that was waived.
+The engine passes the settled rows of every dwell to the payload check (`Engine(...,
+measured=check.measured)`). The arm dwells at each payload-check pose twice, with an approach from
+below and one from above: the mean of the two torques is the static torque, half their difference is
+the friction (`combined_reading`). The check subtracts the torques of the first load at the same
+poses and compares the difference with the difference that the declared loads predict, so that
+friction and model errors of the arm cancel (`compare_loads`). The first load itself is not checked,
+because the first load is the reference for the other loads. A `LoadVerdict` contains the result of
+the payload check for operators and for the event log. A load that differs from the declared load
+stops the run, unless the check is waived.
 
-A resumed run takes the weighing of its first load from the recordings of earlier attempts
-(`readings_of_earlier_attempts`). A weighing counts if its attempt went on to measure: one that was
-refused, or given up, says nothing about the load of the measurements.
+A resumed run reads the readings of its first load from the recordings of earlier attempts
+(`readings_of_earlier_attempts`). The readings of an earlier attempt are used only if that attempt
+continued to measurements: a refused or cancelled payload check does not show which load was mounted
+during the measurements.
 """
 
 from __future__ import annotations
@@ -35,37 +38,37 @@ if TYPE_CHECKING:
 
 
 CHECK = "weighing"
-"""Name of the check in preflight and of its waiver, and kind of its events."""
+"""Name of the payload check in preflight checks and waivers, and kind of its events."""
 
 HINT = (
-    "mount the load that is declared, the way round it is declared; correct `loads` in the spec; "
-    f'or run all the same: --waive "{CHECK}=REASON"'
+    "mount the declared load in the declared orientation; or correct `loads` in the spec; "
+    f'or waive the check: --waive "{CHECK}=REASON"'
 )
 
 AGAIN_HINT = (
-    "mount load 0 as it was when it was measured, and resume again; if it was another load then, "
-    f'run the experiment anew; or go on all the same: --waive "{CHECK}=REASON"'
+    "mount load 0 as in the earlier attempt, and resume again; if a different load was mounted "
+    f'then, run the experiment again; or waive the check: --waive "{CHECK}=REASON"'
 )
-"""For a first load that is not what it was in an earlier attempt."""
+"""Hint of the error for a first load that differs from the first load of an earlier attempt."""
 
 
 class RecordEvent(Protocol):
-    """Records results; a sink's `event`."""
+    """Function that records results, such as the `event` method of a sink."""
 
     def __call__(self, kind: str, **details: Any) -> object:
         """Record an event."""
 
 
 class PayloadCheck:
-    """Checks the loads of one run; records at the beginning if it will not.
+    """Payload check of all loads of one run; if the check is skipped, an event records this.
 
     Args:
-        plan: Of the whole run.
-        gravity: (3,) in the base frame [m/s²].
-        robot: With the kind of its efforts and its drive gains.
-        tolerance: Of the spec; None if it switches the check off.
-        event: Called with every result.
-        waived: Whether a load that is not the declared one is recorded and nothing more.
+        plan: Plan of the whole run.
+        gravity: (3,) gravity vector in the base frame [m/s²].
+        robot: Capabilities of the robot, with the kind of effort and the drive gains.
+        tolerance: Tolerances of the spec; None if the spec switches the payload check off.
+        event: Function that is called with every result of a check.
+        waived: Whether a load that differs from the declared load is only recorded.
     """
 
     def __init__(
@@ -91,16 +94,17 @@ class PayloadCheck:
                 self._steps.setdefault(step.load, []).append(step)
         self._not_weighed = why_plan_not_weighed(plan, robot)
         if not self._not_weighed:
-            # Now: while the arm moves there is no time for it.
+            # Loaded in advance, because loading takes too long while the arm moves.
             self._model = load_model(plan.robot_model, gravity=gravity)
         elif is_sweep(plan):
             self._event(CHECK, result="skipped", reason=self._not_weighed)
 
     def measured(self, step: Step, rows: StructArray) -> None:
-        """Read a dwell's settled rows; after the last dwell of a load, judge the load.
+        """Store the settled rows of a dwell; after the last dwell of a load, check the load.
 
         Raises:
-            PreflightFailed: The load is not the declared one, or cannot be weighed; not if waived.
+            PreflightFailed: The load differs from the declared load, or cannot be identified; not
+                raised if the check is waived.
         """
         if self._not_weighed or step.kind != "weigh":
             return
@@ -113,12 +117,13 @@ class PayloadCheck:
             self._judge(step.load)
 
     def restore(self, readings: Mapping[int, Reading | str]) -> None:
-        """Take the first load's weighing from earlier attempts, for a run that is resumed.
+        """Restore the readings of the first load from earlier attempts of a resumed run.
 
-        Other loads are compared with it, and so is the first load when it is weighed again.
+        The later loads are compared with the restored readings. If the first load is measured
+        again, the new readings are compared with the restored ones.
 
         Args:
-            readings: Of `readings_of_earlier_attempts`.
+            readings: Readings of the first load, returned by `readings_of_earlier_attempts`.
         """
         if self._not_weighed or not readings:
             return
@@ -128,7 +133,8 @@ class PayloadCheck:
     def _judge(self, load: int) -> None:
         first, this = self._together(0), self._together(load)
         if isinstance(first, str) or isinstance(this, str):
-            problem = this if isinstance(this, str) else f"the first load is missing: {first}"
+            missing = f"readings of the first load are missing: {first}"
+            problem = this if isinstance(this, str) else missing
             self._refuse(load, f"load {load} could not be weighed: {problem}", {})
         elif load:
             self._compare(load, first, this)
@@ -138,16 +144,20 @@ class PayloadCheck:
             self._first(this)
 
     def _first(self, this: LoadReading) -> None:
-        """Record the first load, which is not checked unless an earlier attempt has weighed it."""
+        """Record the first load; its readings are not compared with other readings."""
         if self._before is None:
             self._event(CHECK, load=0, result="first", **friction_figures(this))
             return
-        problem = f"load 0: its weighing in an earlier attempt cannot be read ({self._before})"
-        problem += ", so nobody knows whether it is the load that was measured then"
+        problem = f"load 0: the weighing of an earlier attempt cannot be read ({self._before})"
+        problem += ", so it is unknown whether the same load is mounted now"
         self._event(CHECK, load=0, result="inconclusive", problem=problem, **friction_figures(this))
 
     def _compare(self, load: int, first: LoadReading, this: LoadReading) -> None:
-        """Judge what a load adds to the first one; the first load itself should add nothing."""
+        """Check the torque difference between a load and the first load.
+
+        For the first load, the reference is the reading of the same load in an earlier attempt, so
+        the expected difference is zero.
+        """
         loads = self._plan.loads[0].payload, self._plan.loads[load].payload
         comparison = compare_loads(self._model, self._steps[load], loads, (first, this))
         masses = [each.payload.mass for each in self._plan.loads]
@@ -165,13 +175,13 @@ class PayloadCheck:
             self._event(CHECK, load=load, result="inconclusive", problem=problem, **figures)
 
     def _together(self, load: int) -> LoadReading | str:
-        """Return the reading of a load from all of its dwells, or why there is none."""
+        """Return the combined reading of all dwells of a load, or the reason why it is missing."""
         readings: dict[tuple[int, int], Reading] = {}
         for step in self._steps[load]:
             reading = self._readings.get(step.index, "nothing was recorded")
             if isinstance(reading, str):
                 side = "below" if step.approach > 0 else "above"
-                return f"at weighing pose {step.pose + 1} from {side}, {reading}"
+                return f"at payload-check pose {step.pose + 1} from {side}, {reading}"
             readings[step.pose, step.approach] = reading
         return combined_reading(readings)
 
@@ -185,49 +195,54 @@ class PayloadCheck:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """The settled samples of one dwell: mean `torque` (n,) [N·m], `variance` (n,) of that mean."""
+    """Mean torques of the settled samples of one dwell of an arm with n joints.
+
+    `torque` (n,) is the mean torque [N·m], and `variance` (n,) is the variance of the mean torque
+    [N²·m²].
+    """
 
     torque: FloatArray
     variance: FloatArray
 
 
 def gains_of(robot: Capabilities) -> FloatArray | float:
-    """Return the factor from a robot's efforts to torques: (n,) drive gains [N·m/A], or 1."""
+    """Return the factor from efforts of a robot to torques: (n,) drive gains [N·m/A], or 1."""
     return np.array(robot.drive_gains) if robot.effort_kind == "current" else 1.0
 
 
 def reading_of(rows: StructArray, gains: FloatArray | float, settle_rad_s: float) -> Reading:
-    """Return the reading of the settled rows of a dwell.
+    """Return the mean torques and their variances for the settled rows of a dwell.
 
     Args:
         rows: State rows.
-        gains: Of `gains_of`.
-        settle_rad_s: Joint speed below which the arm is at rest [rad/s].
+        gains: Factor from efforts to torques, returned by `gains_of`.
+        settle_rad_s: Joint speed below which the arm counts as static [rad/s].
 
     Raises:
-        DataError: The arm did not rest, or no effort was measured.
+        DataError: The arm was not static, or the rows contain no measured effort.
     """
     usable = rows[(rows["status"] & (Status.MASKED | Status.FAULT)) == 0]
     effort: FloatArray = usable["effort"] * gains
     if not len(usable) or not np.isfinite(effort).all():
         raise DataError(
             "the robot reported no usable effort",
-            hint="see whether the drives are on and their effort is recorded",
+            hint="check that the drives are on and that their effort is recorded",
         )
     if np.abs(usable["qd"]).max() >= settle_rad_s:
         raise DataError(
-            "the arm did not come to rest",
-            hint="see whether the arm is held, or its noise at rest too large to tell",
+            f"the arm did not come to rest (below {settle_rad_s:g} rad/s)",
+            hint="check that the drives hold the arm, and how large the velocity noise at "
+            "standstill is",
         )
     return Reading(effort.mean(axis=0), effort.var(axis=0) / len(usable))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadReading:
-    """One load at all P poses, from both approaches.
+    """Torques of one load at all P payload-check poses, from both approaches.
 
     Attributes:
-        torque: (P, n) mean of the two approaches [N·m].
+        torque: (P, n) mean torque of the two approaches [N·m].
         half_difference: (P, n) half the difference of the two approaches: friction [N·m].
         variance: (n,) variance of `torque`, from remaining friction and noise [N²·m²].
     """
@@ -238,12 +253,15 @@ class LoadReading:
 
 
 FRICTION_LEFT = 0.05
-"""Share of half the difference between the two approaches by which their mean errs (standard
-deviation); measured on the mock, see docs/explanation/weighing.md."""
+"""Standard deviation of the mean torque of both approaches, as a share of half the torque
+difference.
+
+The share was measured on the mock, see docs/explanation/weighing.md.
+"""
 
 
 def combined_reading(readings: Mapping[tuple[int, int], Reading]) -> LoadReading:
-    """Return the reading of one load, from its readings by pose and approach (±1)."""
+    """Return the reading of one load from the readings of its dwells by pose and approach (±1)."""
     poses = sorted({pose for pose, _ in readings})
     below, above = ([readings[pose, sign] for pose in poses] for sign in (1, -1))
     up, down = (np.array([one.torque for one in side]) for side in (below, above))
@@ -254,27 +272,36 @@ def combined_reading(readings: Mapping[tuple[int, int], Reading]) -> LoadReading
 
 
 CHANGE_LEFT = 0.5
-"""Share of the change of the half difference since the first load that adds to the error of the
-mean: friction may have changed on one side alone, as the arm has become warmer."""
+"""Share of the change of the half difference that is added to the standard deviation of the
+mean.
+
+The change of the half difference is counted from the check of the first load onwards. Friction
+possibly changes in only one direction of motion as the arm becomes warmer, which shifts the mean
+torque.
+"""
 
 LEAST_NM = 0.01
-"""Least standard deviation of a torque [N·m]: a simulation without noise has none."""
+"""Minimum standard deviation of a torque [N·m], needed for simulations without noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadComparison:
-    """A load as weighed, beside what was declared.
+    """Identified load in comparison with the declared load.
 
     Attributes:
-        declared: The declared load.
-        first_kg: Declared mass of the first load, which it is weighed against.
-        weighed_kg: Its mass, if its centre of mass is the declared one.
-        deviation_kg: Standard deviation of `weighed_kg`.
-        free_kg: Its mass, wherever its centre of mass is.
-        free_deviation_kg: Standard deviation of `free_kg`.
-        shift_m: (3,) its centre of mass minus the declared one, flange frame; NaN without a load.
-        shift_deviation_m: Standard deviation along `shift_m`.
-        declared_nm, found_nm: (P, n) torque beyond that of the first load, declared and weighed.
+        declared: Declared load.
+        first_kg: Declared mass of the first load, which is the reference [kg].
+        weighed_kg: Identified mass, on the assumption that the declared centre of mass is correct
+            [kg].
+        deviation_kg: Standard deviation of `weighed_kg` [kg].
+        free_kg: Identified mass, without an assumption about the centre of mass [kg].
+        free_deviation_kg: Standard deviation of `free_kg` [kg].
+        shift_m: (3,) identified minus declared centre of mass, in the flange frame [m]; NaN without
+            a load.
+        shift_deviation_m: Standard deviation of the centre of mass in the direction of `shift_m`
+            [m].
+        declared_nm, found_nm: (P, n) torque difference to the first load, declared and measured
+            [N·m].
     """
 
     declared: Payload
@@ -290,7 +317,7 @@ class LoadComparison:
 
     @property
     def distance_m(self) -> float:
-        """Length of `shift_m`; 0 without a load, which has no centre of mass."""
+        """Length of `shift_m` [m]; 0 for an empty flange, which has no centre of mass."""
         return 0.0 if self.declared.is_empty else float(np.linalg.norm(self.shift_m))
 
 
@@ -300,13 +327,13 @@ def compare_loads(
     loads: tuple[Payload, Payload],
     readings: tuple[LoadReading, LoadReading],
 ) -> LoadComparison:
-    """Weigh a load against the first one.
+    """Identify a load relative to the first load and compare the load with its declaration.
 
     Args:
-        model: The arm, mounted as it is.
-        steps: The weighing dwells of either load, in order.
-        loads: The first load and the one to be weighed, as declared.
-        readings: Of these.
+        model: Model of the arm, with gravity in its mounting orientation.
+        steps: Payload-check dwells of one load, in order; the poses are the same for every load.
+        loads: Pair of the declared first load and the declared load to check.
+        readings: Readings of the two loads, in the order of `loads`.
     """
     first, load = loads
     at = {step.pose: step.motion.q_end for step in steps if step.motion is not None}
@@ -314,7 +341,7 @@ def compare_loads(
     declared = columns @ (static_parameters(load) - static_parameters(first))
     weighed: FloatArray = readings[1].torque - readings[0].torque
     deviation = _deviation(*readings)
-    # Errors of the gains are a share of the torque: the larger one, in case it is another load.
+    # Gain errors are proportional to the torque: use the larger one, in case of a different load.
     torque = np.where(np.abs(weighed) > np.abs(declared), weighed, declared)
     excess: Weighed = Balance(columns, torque, deviation, load.com).weigh(weighed - declared)
     per_kg = np.nan if load.is_empty else 1 / load.mass
@@ -333,9 +360,9 @@ def compare_loads(
 
 
 def _deviation(first: LoadReading, this: LoadReading) -> FloatArray:
-    """Return the (P, n) standard deviation of the difference of two loads' torques [N·m].
+    """Return the (P, n) standard deviation of the torque difference of two loads [N·m].
 
-    Errors of the drive gains are not in it.
+    Errors of the drive gains are not included in the standard deviation.
     """
     change = CHANGE_LEFT * (this.half_difference - first.half_difference)
     variance = first.variance + this.variance + change**2
@@ -343,25 +370,28 @@ def _deviation(first: LoadReading, this: LoadReading) -> FloatArray:
 
 
 SURE = 4.0
-"""Number of standard deviations up to which a difference may be the weighing's own error."""
+"""Number of standard deviations up to which a difference is attributed to the measurement error."""
 
 TELLING = 0.5
-"""A limit below this share of the difference between two loads tells them apart."""
+"""Maximum ratio of mass limit to mass difference with which a check distinguishes two loads."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadVerdict:
-    """The verdict on a load: a comparison and its limits.
+    """Verdict on a load: comparison with the declared load, and limits for the differences.
 
-    A weighing that is less certain than the tolerances (a short reach, high friction) is judged by
-    its own certainty. If no centre of mass is declared, or the load has another one, the mass that
-    counts is `free_kg`, which does not depend on it.
+    If the uncertainty of the identified mass exceeds the tolerances (for a short reach or high
+    friction), the limit is computed from the uncertainty. If no centre of mass is declared, or if
+    the load has a different centre of mass, the verdict uses `free_kg`, which does not depend on
+    the centre of mass.
 
     Attributes:
-        comparison: The load as weighed.
-        tolerance: Of the spec.
-        differs_kg: Difference to the load that may be mounted instead, see `difference_kg`.
-        again: Whether it is the first load, compared with its weighing in an earlier attempt.
+        comparison: Comparison of the identified with the declared load.
+        tolerance: Tolerances for mass and centre of mass from the spec.
+        differs_kg: Mass difference to the load that may be mounted by mistake [kg], see
+            `difference_kg`.
+        again: Whether the load is the first load, which is compared with its reading in an earlier
+            attempt.
     """
 
     comparison: LoadComparison
@@ -371,18 +401,18 @@ class LoadVerdict:
 
     @property
     def weighed_kg(self) -> float:
-        """The mass that counts."""
+        """Identified mass that the verdict uses [kg]."""
         return self.comparison.weighed_kg if self._centre_known else self.comparison.free_kg
 
     @property
     def deviation_kg(self) -> float:
-        """Standard deviation of `weighed_kg`."""
+        """Standard deviation of `weighed_kg` [kg]."""
         load = self.comparison
         return load.deviation_kg if self._centre_known else load.free_deviation_kg
 
     @property
     def mass_limit_kg(self) -> float:
-        """Largest difference of the mass from the declared one that passes."""
+        """Largest accepted difference of identified and declared mass [kg]."""
         tolerance, load = self.tolerance, self.comparison
         difference = abs(load.declared.mass - load.first_kg)
         tolerated = tolerance.tolerance_kg + tolerance.tolerance_percent / 100 * difference
@@ -390,33 +420,33 @@ class LoadVerdict:
 
     @property
     def com_limit_m(self) -> float:
-        """Largest distance of the centre of mass from the declared one that passes."""
+        """Largest accepted distance of identified and declared centre of mass [m]."""
         sure = SURE * self.comparison.shift_deviation_m
         return max(self.tolerance.tolerance_com_m, sure if np.isfinite(sure) else 0.0)
 
     @property
     def mass_passed(self) -> bool:
-        """Whether the mass is near enough to the declared one."""
+        """Whether the difference of identified and declared mass is within the limit."""
         return abs(self.weighed_kg - self.comparison.declared.mass) <= self.mass_limit_kg
 
     @property
     def com_passed(self) -> bool:
-        """Whether the centre of mass is near enough to the declared one."""
+        """Whether the distance of identified and declared centre of mass is within the limit."""
         return self.comparison.distance_m <= self.com_limit_m
 
     @property
     def passed(self) -> bool:
-        """Whether the load is the one declared."""
+        """Whether mass and centre of mass are within their limits."""
         return self.mass_passed and self.com_passed
 
     @property
     def conclusive(self) -> bool:
-        """Whether the mass of another load would not have passed as well."""
+        """Whether the check would have rejected the mass of a different load of the run."""
         return self.mass_limit_kg < TELLING * self.differs_kg
 
     @property
     def figures(self) -> dict[str, Any]:
-        """Plain numbers for the event log."""
+        """Result of the check as plain numbers, for the event log."""
         load = self.comparison
         figures: dict[str, Any] = {
             "declared_kg": load.declared.mass,
@@ -437,7 +467,7 @@ class LoadVerdict:
         return figures
 
     def text(self, joint_names: Sequence[str]) -> str:
-        """Return what is wrong, with the torques joint by joint."""
+        """Return a description of the mismatch of the load, with the torques of each joint."""
         headline = self._masses
         if not self.com_passed:
             headline += f"; {self._centre()}"
@@ -445,9 +475,9 @@ class LoadVerdict:
 
     @property
     def doubt(self) -> str:
-        """Why a load that passed may not be the declared one all the same."""
+        """Reason why a load that passed is possibly not the declared load."""
         apart = f"{self.differs_kg:.2f} kg"
-        return f"{self._masses}, which does not tell loads apart that differ by {apart}"
+        return f"{self._masses}; the check cannot distinguish loads that differ by {apart}"
 
     @property
     def _masses(self) -> str:
@@ -455,7 +485,7 @@ class LoadVerdict:
         earlier = " in an earlier attempt" if self.again else ""
         return (
             f"{load.declared.mass:.2f} kg declared, {self.weighed_kg:.2f} ± "
-            f"{self.deviation_kg:.2f} kg weighed against the {load.first_kg:.2f} kg of load 0"
+            f"{self.deviation_kg:.2f} kg measured relative to the {load.first_kg:.2f} kg of load 0"
             f"{earlier} (limit ± {self.mass_limit_kg:.2f} kg)"
         )
 
@@ -467,14 +497,14 @@ class LoadVerdict:
         load = self.comparison
         seen = np.array(load.declared.com) + load.shift_m
         return (
-            f"centre of mass at {_point(load.declared.com)} m declared, near {_point(seen)} m "
-            f"weighed: {1e3 * load.distance_m:.0f} ± {1e3 * load.shift_deviation_m:.0f} mm away "
-            f"(limit {1e3 * self.com_limit_m:.0f} mm)"
+            f"centre of mass declared at {_point(load.declared.com)} m, measured near "
+            f"{_point(seen)} m: {1e3 * load.distance_m:.0f} ± "
+            f"{1e3 * load.shift_deviation_m:.0f} mm away (limit {1e3 * self.com_limit_m:.0f} mm)"
         )
 
 
 def _plain(value: FloatArray | float) -> Any:
-    """Return a value for JSON, to a tenth of a gram and of a millinewton metre; None if unknown."""
+    """Return a value for JSON, rounded to four decimals (0.1 g, 0.1 mN·m); None if not finite."""
     if isinstance(value, np.ndarray):
         return [_plain(item) for item in value]
     return round(float(value), 4) if np.isfinite(value) else None
@@ -486,10 +516,11 @@ def _by_joint(load: LoadComparison, joint_names: Sequence[str]) -> list[str]:
         for torque in (load.declared_nm, load.found_nm)
     )
     lines = [
-        f"  {name}: {a} declared, {b} weighed;"
+        f"  {name}: {a} declared, {b} measured;"
         for name, a, b in zip(joint_names, declared, weighed, strict=True)
     ]
-    return ["  torque it adds, pose by pose [N·m]:", *lines[:-1], lines[-1].rstrip(";")]
+    heading = "  additional torque of the load, pose by pose [N·m]:"
+    return [heading, *lines[:-1], lines[-1].rstrip(";")]
 
 
 def _point(at: Sequence[float] | FloatArray) -> str:
@@ -497,9 +528,10 @@ def _point(at: Sequence[float] | FloatArray) -> str:
 
 
 def difference_kg(masses: Sequence[float], load: int) -> float:
-    """Return by how much a load differs from the first one, which may still be mounted [kg].
+    """Return the mass difference between a load and the first one, which may still be mounted [kg].
 
-    Of a load that weighs the same as the first: from the nearest other mass; 0 if there is none.
+    If the load has the same mass as the first load, return the difference to the nearest different
+    mass of the run; 0 if all masses are equal.
     """
     own = masses[load]
     others = [abs(own - other) for other in masses if other != own]
@@ -507,30 +539,31 @@ def difference_kg(masses: Sequence[float], load: int) -> float:
 
 
 def friction_figures(first: LoadReading) -> dict[str, Any]:
-    """Return the figures of the first load for the event log: friction, pose by pose."""
+    """Return the friction torques of the first load, by pose [N·m], for the event log."""
     return {"half_difference_nm": _plain(first.half_difference)}
 
 
 Readings = dict[int, Reading | str]
-"""Index of a weighing dwell → its reading, or why there is none."""
+"""Reading of each payload-check dwell, or the reason why the reading is missing, by step index."""
 
 
 def readings_of_earlier_attempts(
     plan: Plan, recordings: Iterable[Path], robot: Capabilities
 ) -> Readings:
-    """Return the readings of the first load in the newest attempt whose weighing counts.
+    """Return the readings of the first load from the newest attempt that continued to measurements.
 
     Args:
-        plan: Of the whole run.
-        recordings: `RunDirectory.recordings`.
-        robot: With the kind of its efforts and its drive gains.
+        plan: Plan of the whole run, with the payload-check steps.
+        recordings: Recordings of the run, see `RunDirectory.recordings`.
+        robot: Capabilities of the robot, with the kind of effort and the drive gains.
 
     Returns:
-        Nothing if no attempt went on to measure, or if nothing is weighed in this run. Reasons
-        instead of readings only if none of the attempts that went on can be read.
+        Readings of the payload-check dwells, by step index. The mapping is empty if no attempt
+        continued to measurements, or if the run has no payload check. The mapping contains reasons
+        instead of readings only if none of these attempts is readable.
 
     Raises:
-        DataError: A recording is no MCAP file at all, or of a newer hil.
+        DataError: A recording is not an MCAP file, or was written by a newer version of hil.
     """
     steps = {step.index: step for step in plan if step.kind == "weigh" and step.load == 0}
     if why_plan_not_weighed(plan, robot):
@@ -538,7 +571,7 @@ def readings_of_earlier_attempts(
     past = {step.index for step in plan if step.measures or step.load}
     newest: Readings = {}
     for rows, seen in recorded_steps(recordings, steps):
-        # An attempt under later loads alone had no need to weigh the first one.
+        # An attempt with only later loads did not check the first load.
         if seen.isdisjoint(past) or (newest and not rows):
             continue
         own = {index: _reading_of_step(plan, steps[index], rows, robot) for index in steps}
@@ -554,7 +587,7 @@ def _reading_of_step(
     if rows is None:
         return "nothing was recorded"
     if not step_is_complete(step, rows, plan):
-        return "the recording is torn"
+        return "the recording is incomplete"
     rule = plan.dwell_rule(step)
     try:
         return reading_of(rows[-rule.samples :], gains_of(robot), rule.settle_rad_s)
@@ -563,5 +596,5 @@ def _reading_of_step(
 
 
 def all_reliable(readings: Mapping[int, Reading | str]) -> bool:
-    """Return whether there are readings, and no reasons in place of one."""
+    """Return whether there are readings and every entry is a reading instead of a reason."""
     return bool(readings) and not any(isinstance(one, str) for one in readings.values())

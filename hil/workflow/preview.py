@@ -1,9 +1,10 @@
-"""Plan, preview and trajectories of an experiment, before anything moves.
+"""Plan, preview and trajectories of an experiment, without any motion.
 
-`planned` makes the plan for the robot of an experiment, from the pose where it stands if it may be
-connected to; `plan` and `preview_experiment` return what follows from it. `appraise_excitation`
-(behind `hil excite`) optimises the trajectories alone, or takes them from the cache, and compares
-them with random ones.
+`planned` computes the plan for the robot of an experiment; if connecting to the robot is allowed,
+the plan starts at the present pose of the robot. `plan` returns the plan of `planned`, and
+`preview_experiment` also returns its preview. `appraise_excitation` (used by `hil optimise`)
+computes only the trajectories, or reads them from the cache, and compares them with random
+trajectories.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ from hil.workflow.checks import missing_extras, require_within_reach
 from hil.workflow.interlocks import RunInterlocks
 
 WITHOUT_THE_ROBOT = (
-    "planned without the robot, which was not connected to: the plan begins in the roomiest pose "
-    "of its range, and limits are the maker's; `hil run` plans from where the arm stands, and so "
-    "does `hil plan --connect`"
+    "planned without connecting to the robot: the plan begins in the pose with the most clearance, "
+    "with the manufacturer's limits; `hil run` and `hil plan --connect` plan from the present pose "
+    "of the arm"
 )
 
 
@@ -61,21 +62,25 @@ WITHOUT_THE_ROBOT = (
 def planned(
     experiment: Experiment, *, connect: bool = False, watch: Watch = unwatched
 ) -> Iterator[tuple[Robot, Plan, bool]]:
-    """Yield the robot, the plan, and whether it begins where the robot stands now.
+    """Yield the robot, the plan, and whether the plan starts at the present pose of the robot.
 
-    A robot in wall time is not connected to by default: plans are made at desks, before the arm is
-    switched on, and while others use it. Its plan then begins in the roomiest pose of its range, at
-    the rate and within the limits that its driver knows without a connection.
+    By default, hil does not connect to a robot in wall time, because plans are often made before
+    the arm is switched on, or while other users need the arm. Without a connection, the plan starts
+    in the pose of the joint range with the most free space, and uses the rate and limits that the
+    driver knows without a connection.
 
     Args:
-        experiment: Says which robot of which station.
-        connect: Plan from where a robot in wall time stands now, too; it is leased meanwhile.
-        watch: Called with the progress of trajectories that take long to compute.
+        experiment: Experiment, which names robot and station.
+        connect: Whether hil leases a robot in wall time and connects to it, so that the plan starts
+            at the present pose of the robot.
+        watch: Callback that receives the progress of long computations of trajectories.
 
     Raises:
-        RobotConnectionError, PluginError, SpecError, RobotError: See `held`.
-        SpecError: The arm cannot do it, or it would give no result; see `require_within_reach`.
-        PlanError: No safe plan follows from the spec.
+        RobotConnectionError, PluginError, SpecError, RobotError: The robot is not available, see
+            `held`.
+        SpecError: The arm cannot execute the experiment, or the run would give no result; see
+            `require_within_reach`.
+        PlanError: No safe plan exists for the spec.
     """
     with opened(experiment.spec.robot, experiment.robot) as robot:
         can = robot.capabilities
@@ -95,18 +100,20 @@ def planned(
 
 
 def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
-    """Return the plan of an experiment; nothing moves.
+    """Return the plan of an experiment; the robot does not move.
 
-    The plan of a robot on a virtual clock begins where it stands. One in wall time is not connected
-    to: its plan begins in the roomiest pose of its range.
+    The plan of a robot on a virtual clock starts at its present pose. By default, hil does not
+    connect to a robot in wall time: the plan then starts in the pose of the joint range with the
+    most free space.
 
     Args:
-        experiment: From `load`.
-        connect: Plan from where a robot in wall time stands now, too.
+        experiment: Experiment returned by `load`.
+        connect: Whether the plan of a robot in wall time also starts at the present pose of the
+            robot.
 
     Raises:
-        PlanError: No safe plan follows from the spec.
-        RobotError: The robot cannot be asked where it stands, or another process holds it.
+        PlanError: No safe plan exists for the spec.
+        RobotError: The pose of the robot cannot be read, or a different process uses the robot.
     """
     require_experiment(experiment)
     with planned(experiment, connect=connect) as (_, plan, _):
@@ -116,17 +123,17 @@ def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
 def preview_experiment(
     experiment: Experiment, *, connect: bool = False, watch: Watch = unwatched
 ) -> tuple[Plan, PlanPreview]:
-    """Return the plan of an experiment and its preview; nothing moves.
+    """Return the plan of an experiment and its preview; the robot does not move.
 
     Args:
-        experiment: What would be done, and where.
-        connect: See `planned`.
-        watch: Called with the progress of trajectories that take long to compute.
+        experiment: Experiment with spec and station.
+        connect: Whether hil connects to a robot in wall time, see `planned`.
+        watch: Callback that receives the progress of long computations of trajectories.
 
     Raises:
-        SpecError: The arm cannot do it, or it would give no result.
-        PlanError: No safe plan follows from the spec, or an interlock cannot be judged.
-        RobotError: The robot cannot be asked where it stands.
+        SpecError: The arm cannot execute the experiment, or the run would give no result.
+        PlanError: No safe plan exists for the spec, or an interlock cannot be evaluated.
+        RobotError: The pose of the robot cannot be read.
     """
     with planned(experiment, connect=connect, watch=watch) as (robot, plan, from_where_it_stands):
         watching = RunInterlocks(experiment, robot, plan).all.describe()
@@ -138,31 +145,31 @@ def preview_experiment(
 def appraise_excitation(
     experiment: Experiment, *, fresh: bool = False, watch: Watch = unwatched
 ) -> ExcitationReport:
-    """Optimise an experiment's trajectories, or take them from the cache, and appraise them.
+    """Optimise the trajectories of an experiment, or read them from the cache, and evaluate them.
 
-    The robot is not connected to.
+    `appraise_excitation` does not connect to the robot.
 
     Args:
-        experiment: What would be done, and where.
-        fresh: Optimise again what the cache has.
-        watch: Called with the progress.
+        experiment: Experiment with spec and station.
+        fresh: Whether trajectories that are in the cache are computed again.
+        watch: Callback that receives the progress of the optimisation.
 
     Raises:
-        SpecError: The excitation has no trajectories, or asks for more than the arm can do.
-        PlanError: No motion does what the spec asks for.
+        SpecError: The excitation has no trajectories, or requires more than the arm can execute.
+        PlanError: No collision-free motion satisfies the spec.
     """
     spec = experiment.spec
     if not isinstance(spec.excitation, Fourier):
         raise SpecError(
             f"{spec.name} is a {spec.excitation.kind} program, which has no trajectories",
-            hint="`hil plan` shows what it does; `hil excite` is for excitation.kind: fourier",
+            hint="`hil plan` shows the motion; `hil optimise` requires excitation.kind: fourier",
         )
     with opened(spec.robot, experiment.robot) as robot:
         rate_hz = robot.capabilities.rate_hz
     arm = plannable_arm(experiment.robot)
     if problems := excesses(spec, arm, rate_hz, experiment.robot.surroundings.clearance_m):
         raise SpecError(
-            "\n".join(map(str, problems)), hint="change these values, or take another robot"
+            "\n".join(map(str, problems)), hint="change these values, or choose a different robot"
         )
     workspace = workspace_of(spec, experiment.robot, arm, rate_hz)
     roadmap, progress = roadmap_of(workspace), _Progress(watch)
@@ -173,7 +180,7 @@ def appraise_excitation(
     seconds = time.monotonic() - began
     appraisal = _appraised(spec, roadmap, setting, motions)
     random = None
-    if spec.excitation.optimise is not None:  # else they are random themselves
+    if spec.excitation.optimise is not None:  # otherwise the trajectories are random already
         unoptimised = spec.excitation.model_copy(update={"optimise": None})
         drawn = spec.model_copy(update={"excitation": unoptimised})
         random = _appraised(spec, roadmap, setting, _trajectories_of(drawn, roadmap, setting))
@@ -183,7 +190,7 @@ def appraise_excitation(
 
 
 class _Progress:
-    """Passes progress on, and remembers which trajectories were computed, and notes."""
+    """Progress callback that stores the computed trajectories and the notes of the optimiser."""
 
     def __init__(self, watch: Watch) -> None:
         self._watch = watch
@@ -222,7 +229,7 @@ def _appraised(
 
 
 def limits_of(program: Fourier, roadmap: Roadmap, setting: Setting) -> Limits:
-    """Return the limits of the trajectories of a program."""
+    """Return the joint limits that apply to the trajectories of a program."""
     workspace, optimise = roadmap.workspace, program.optimise
     ones = np.ones(len(workspace.joint_names))
     jerk = optimise.max_jerk_deg_s3 if optimise else None

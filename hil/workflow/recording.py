@@ -1,9 +1,11 @@
-"""The motion of a run: robot, plan, run directory, preflight, engine. Nothing is fitted in here.
+"""Recording of a run: open the robot, plan, create the run directory, check and execute the motion.
 
-A run is recorded in attempts: `record` makes the first one, `hil.workflow.resuming` further ones.
-An `Attempt` has everything that was written before the motion; `execute` ends it with a stop
-document, whatever happens. What the engine measures and reports goes to a `RunSink`: samples to the
-recorder, events to the event log and the recorder.
+The recording of a run consists of one or more attempts. The function `record` makes the first
+attempt of a run; the module `hil.workflow.resuming` makes the later attempts. An `Attempt`
+describes an attempt whose documents are written and whose motion has not begun; `execute` carries
+the attempt out and always writes a stop document. The engine sends samples and events to a
+`RunSink`: samples go to the recorder, events go to the event log and the recorder. No model is
+fitted in this module.
 """
 
 from __future__ import annotations
@@ -58,15 +60,16 @@ class Attendance:
     """Operator, observers and signals of a run.
 
     Attributes:
-        observers: Receive progress events.
-        signals: Open; guards the motion.
-        prompt: Asks the operator; a robot on a virtual clock answers by itself.
-        go_on: Returns whether the operator ends a pause.
-        operator: Name of the operator; empty for the user of this process.
-        waivers: Preflight check → why its failure is accepted.
-        wait_s: How long to wait for a robot that another process holds [s].
-        confirm: Confirms that a real robot may move.
-        until_judged: Holds what stays open until the run has been judged and reported.
+        observers: Receivers of progress events.
+        signals: Open signal watch, which guards the motion.
+        prompt: Function that asks the operator for a confirmation; prompts for a robot on a virtual
+            clock are answered automatically.
+        go_on: Function that returns whether the operator ends a pause.
+        operator: Name of the operator; the user of this process if the name is empty.
+        waivers: Reason for accepting a failed preflight check, by name of the check.
+        wait_s: Maximum time to wait for a robot that another process uses [s].
+        confirm: Function that confirms that a real robot may move.
+        until_judged: Exit stack for resources that stay open until the run is judged and reported.
     """
 
     observers: Observers
@@ -80,36 +83,39 @@ class Attendance:
     until_judged: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
     def stage(self, text: str) -> None:
-        """Publish what is done now."""
+        """Publish the name of the stage of the run that begins now."""
         self.observers.publish({"kind": "stage", "stage": text})
 
     def planned(self, plan: Plan) -> None:
-        """Publish the space that the motions of `plan` sweep, before anything moves."""
+        """Publish the space that the motions of `plan` sweep, before the robot moves."""
         space = swept(plan, load_arm(plan.robot_model))
         self.observers.publish({"kind": "plan", **space.to_dict(), "lines": space.lines()})
 
     def computing(self, advance: Advance) -> None:
-        """Publish the progress of trajectories that take long to compute."""
+        """Publish the progress of a long computation of trajectories."""
         self.observers.publish(advance.to_event())
 
 
 def record(
     experiment: Experiment, *, runs: Path, attendance: Attendance, opened: Robot | None = None
 ) -> Recorded:
-    """Plan, check and execute; leaves a complete run directory, whatever happens.
+    """Plan, check and execute an experiment, and return the recorded run.
+
+    The run directory contains a stop document even if the run fails.
 
     Args:
-        experiment: What to do, and where.
-        runs: Where run directories are kept.
+        experiment: Spec and station of the run.
+        runs: Folder in which the run directory is created.
         attendance: Operator, observers and signals.
-        opened: The robot, if it is open already.
+        opened: Robot of the experiment, if the caller has already opened it.
 
     Raises:
-        SpecError, PlanError, PluginError, RobotError: Before a run directory exists.
-        PreflightFailed: The run has prompts that could not be answered, or the disk has no room for
-            what a run begins with.
-        NotConfirmed: The robot is a real one, and its motion was not confirmed.
-        RecordingError: The run directory cannot be made.
+        SpecError, PlanError, PluginError, RobotError: An error occurred before the run directory
+            was created.
+        PreflightFailed: The run has prompts that no operator could answer, or the disk has too
+            little free space to begin a run.
+        NotConfirmed: The operator did not confirm the motion of a real robot.
+        RecordingError: The run directory cannot be created.
     """
     gate = Gate(experiment, attendance.confirm)
     with held(
@@ -154,12 +160,14 @@ def record(
 
 
 def require_usable(experiment: Experiment, robot: Robot) -> None:
-    """Raise before any motion what would only fail after hours of it: units and plug-ins.
+    """Raise before any motion if the units or plug-ins of an experiment are unusable.
 
-    A commissioning run is neither fitted nor judged, so it needs none of them.
+    Without this check, a run with wrong units or missing plug-ins would fail only after hours of
+    motion. A commissioning run is neither fitted nor evaluated, so the check of units and plug-ins
+    is skipped.
 
     Raises:
-        SpecError: The criteria are in another unit than the robot's efforts.
+        SpecError: The acceptance criteria use a different unit than the efforts of the robot.
         PluginError: An estimator, a study or an extra is missing.
     """
     if experiment.commissioning is not None:
@@ -181,19 +189,20 @@ def write_beginning(
     waivers: Mapping[str, str],
     confirmation: Mapping[str, Any] | None = None,
 ) -> None:
-    """Store what the run starts from: spec, station, plan and start document.
+    """Write the initial documents of a run: spec, station, plan and start document.
 
     Args:
-        directory: Of the run.
-        experiment: What is done, and where.
-        robot: Connected.
-        plan: What is executed.
-        operator: Name of the operator; empty for the user of this process.
-        waivers: Preflight check → why its failure is accepted.
-        confirmation: How the motion of a real robot was confirmed; None if it need not be.
+        directory: Directory of the run.
+        experiment: Spec and station of the run.
+        robot: Connected robot.
+        plan: Plan that will be executed.
+        operator: Name of the operator; the user of this process if the name is empty.
+        waivers: Reason for accepting a failed preflight check, by name of the check.
+        confirmation: Record of the confirmation of a real robot's motion; None if no confirmation
+            is needed.
 
     Raises:
-        RecordingError: The disk refuses.
+        RecordingError: A file cannot be written to the disk.
     """
     directory.write_text("spec.yaml", experiment.spec_text)
     directory.write_text("station.yaml", experiment.station_text)
@@ -227,7 +236,7 @@ def write_beginning(
 
 
 def describe_robot(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:
-    """Return what the start document says about the robot."""
+    """Return the entry of the start document that describes the robot."""
     can = robot.capabilities
     digest = model_sha256(station_robot.model)
     return {
@@ -245,10 +254,10 @@ def describe_robot(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:
 
 
 def recorded_capabilities(run: RunDirectory) -> Capabilities:
-    """Return what the robot of a run offered, from the start document: the part that viewers need.
+    """Return the capabilities of a run's robot that viewers need, from the start document.
 
     Raises:
-        DataError: The document lacks the robot.
+        DataError: The start document has no valid description of the robot.
     """
     try:
         robot = run.start["robot"]
@@ -260,13 +269,16 @@ def recorded_capabilities(run: RunDirectory) -> Capabilities:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(
-            f"{run.path}/start.json does not say what the robot was: {error}",
+            f"{run.path}/start.json does not describe the robot: {error}",
             hint="resume without --live",
         ) from error
 
 
 def whole(source: str) -> str:
-    """Return an absolute path: a run may be resumed from another working directory."""
+    """Return the absolute path, because a run may be resumed in a different working directory.
+
+    A text that is not the path of a file is returned unchanged.
+    """
     return str(Path(source).resolve()) if Path(source).is_file() else source
 
 
@@ -276,12 +288,12 @@ NOTHING: Mapping[str, int] = dict.fromkeys(COUNTED, 0)
 
 @dataclass(frozen=True, slots=True)
 class Before:
-    """What earlier attempts of a run recorded.
+    """Totals over the earlier attempts of a run.
 
     Attributes:
-        counts: Of the robot record, see `Recorded.counts`.
-        device_s: Duration of their samples by the robot's clock [s].
-        first_load: Payload check of the first load, see `readings_of_earlier_attempts`.
+        counts: Counts of the robot record in earlier attempts, see `Recorded.counts`.
+        device_s: Duration of the samples in earlier attempts, by the robot's clock [s].
+        first_load: Payload-check readings of the first load, see `readings_of_earlier_attempts`.
     """
 
     counts: Mapping[str, int] = field(default_factory=lambda: NOTHING)
@@ -291,16 +303,17 @@ class Before:
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """An attempt that is about to be executed.
+    """Attempt of a run, ready to be executed.
 
     Attributes:
-        directory: The run; everything before the motion is written.
-        number: 0 for the first attempt.
-        experiment: Spec and station.
-        plan: Of the whole run.
-        todo: The part of the plan that is executed now, from where the robot stands.
-        interlocks: Those of the spec, for this robot and plan.
-        before: What the attempts before this one recorded.
+        directory: Run directory, which contains all documents that precede the motion.
+        number: Number of the attempt; 0 for the first attempt.
+        experiment: Experiment with spec and station.
+        plan: Plan of the whole run.
+        todo: Part of the plan that this attempt executes, which starts at the present pose of the
+            robot.
+        interlocks: Interlocks of the spec for this robot and plan.
+        before: Totals over the earlier attempts of the run.
     """
 
     directory: RunDirectory
@@ -313,12 +326,13 @@ class Attempt:
 
 
 def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
-    """Check and execute an attempt; leaves a stop document, whatever happens.
+    """Check and execute an attempt; the stop document is written even if the attempt fails.
 
-    Signals must be guarded.
+    The caller must guard the process signals during this method.
 
     Raises:
-        RecordingError: The recording cannot be opened; the stop document says so too.
+        RecordingError: The recording file cannot be opened; the stop document also contains the
+            error.
     """
     directory, number = attempt.directory, attempt.number
     open_files, around = contextlib.ExitStack(), contextlib.ExitStack()
@@ -349,10 +363,10 @@ def _quietly(close: Callable[[], object]) -> None:
 def open_recorder(
     directory: RunDirectory, attempt: int, robot: Robot, experiment: Experiment
 ) -> Recorder:
-    """Return the recorder of a new attempt; its files begin with the documents of the run.
+    """Return the recorder of a new attempt; the documents of the run are attached to its files.
 
     Raises:
-        RecordingError: The file cannot be made.
+        RecordingError: The recording file cannot be created.
     """
     can, uid = robot.capabilities, str(directory.start["uid"])
     unit = "A" if can.effort_kind == "current" else "N·m"
@@ -393,7 +407,7 @@ def _engine(
     sink: RunSink,
     around: contextlib.ExitStack,
 ) -> Engine:
-    """Return the engine; what is to be closed after its run is added to `around`."""
+    """Return the engine of an attempt; add the resources to close after the run to `around`."""
     directory, interlocks = attempt.directory, attempt.interlocks.all
     attempt.interlocks.watch_recording(directory.path, recorder)
     around.callback(interlocks.close)
@@ -422,7 +436,7 @@ def _engine(
 def _payload_check(
     attempt: Attempt, robot: Robot, sink: RunSink, attendance: Attendance
 ) -> PayloadCheck:
-    """Return the payload check; in a resumed run it knows what the first load weighed."""
+    """Return the payload check; a resumed run restores the readings of the first load."""
     experiment = attempt.experiment
     check = PayloadCheck(
         attempt.plan,
@@ -453,13 +467,13 @@ def _preflight(attempt: Attempt, robot: Robot, attendance: Attendance) -> Callab
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A run whose motion has ended.
+    """Run whose motion has ended.
 
     Attributes:
-        directory: The run directory, complete up to its stop document.
-        result: How the run ended; `failed` if the recording lacks something.
-        counts: `samples`, `gaps`, `missing`, `duplicates`, `overruns` of the robot record, over
-            all attempts.
+        directory: Run directory, which contains the stop document.
+        result: Outcome of the motion; `failed` if the recording is incomplete.
+        counts: Counts `samples`, `gaps`, `missing`, `duplicates` and `overruns` of the robot
+            record, summed over all attempts.
     """
 
     directory: RunDirectory
@@ -468,11 +482,11 @@ class Recorded:
 
 
 class RunSink:
-    """The engine's sink for one attempt.
+    """Sink of the engine for one attempt.
 
     Args:
-        directory: Of the run; its event log is continued.
-        recorder: Of the attempt.
+        directory: Run directory; new events are appended to its event log.
+        recorder: Recorder of the attempt.
     """
 
     def __init__(self, directory: RunDirectory, recorder: Recorder) -> None:
@@ -480,7 +494,7 @@ class RunSink:
         self._recorder = recorder
 
     def put(self, rows: StructArray) -> None:
-        """See `hil.engine.Sink`."""
+        """See `hil.engine.Sink`; write the samples to the recorder."""
         self._recorder.put(STATE_TOPIC, rows)
 
     def put_topic(self, topic: str, rows: StructArray) -> None:
@@ -492,13 +506,13 @@ class RunSink:
         self._recorder.put_event(self._log.append(kind, **details))
 
     def health(self) -> Mapping[str, float]:
-        """Return gaps and backlog of the recording, for progress events."""
+        """Return the gaps and the backlog of the recording, for progress events."""
         counts = counts_of(self._recorder.counts[STATE_TOPIC])
         del counts["samples"]
         return {**counts, "behind_s": self._recorder.behind_s}
 
     def close(self) -> list[HilError]:
-        """Finish recording and log; return what went wrong in either."""
+        """Close recording and event log; return the errors that occurred while closing them."""
         problems = []
         for close in (self._recorder.close, self._log.close):
             try:
@@ -511,7 +525,10 @@ class RunSink:
 def finish(
     attempt: Attempt, result: RunResult, recorder: Recorder, sink: RunSink, observers: Observers
 ) -> Recorded:
-    """Close everything, then write the stop document, whatever goes wrong in closing."""
+    """Close recording and event log, then write the stop document.
+
+    The stop document is written even if closing the recording or the event log fails.
+    """
     lost = sink.close()
     complete, problem = _completeness(attempt)
     notes = (*result.notes, *(e.message for e in lost), *observers.problems())
@@ -540,32 +557,33 @@ def finish(
 
 
 def _completeness(attempt: Attempt) -> tuple[Completeness | None, HilError | None]:
-    """Return what was measured, by the recording; and an error if it is unreadable or incomplete.
+    """Return the measured part of the plan, and an error if the recording is incomplete.
 
-    Motion that came to its end is no success if its recording lacks a part.
+    A motion that reached its end still counts as failed if the recording lacks measurements. If the
+    recording cannot be read, the measured part is None.
     """
     try:
         complete = completeness_of(attempt.plan, attempt.directory.recordings)
     except HilError as error:
         message = f"the recording could not be read back: {error.message}"
         return None, RecordingError(message, hint=error.hint)
-    except Exception as error:  # the motion is over: whatever this is, its end must be written
+    except Exception as error:  # the stop document must be written after any error
         return None, RecordingError(
             f"the recording could not be read back: {error!r}",
-            hint="hil recover RUN makes whole what is left of it",
+            hint="repair the recording: hil recover RUN",
         )
     if not complete.missing:
         return complete, None
     commissioning = "commissioning" in attempt.directory.start
-    message = f"the recording lacks measurements: {complete} are whole"
+    message = f"the recording lacks measurements: only {complete} are complete"
     if slowed := len(complete.slowed):
         message += f"; {slowed} were measured slower than planned and are excluded"
     again = "run the experiment again" if commissioning else f"hil resume {attempt.directory.path}"
-    return complete, RecordingError(message, hint=f"measure what is missing: {again}")
+    return complete, RecordingError(message, hint=f"measure the missing steps: {again}")
 
 
 def _steps_done(attempt: Attempt, result: RunResult) -> int:
-    """Return the number of steps of the plan that need not be executed any more."""
+    """Return the number of steps of the plan that no longer have to be executed."""
     left = {step.index for step in attempt.todo.steps[result.steps_done :] if step.index >= 0}
     return len(attempt.plan) - len(left)
 
@@ -576,5 +594,5 @@ def counts_of(counts: Counts) -> dict[str, int]:
 
 
 def recorded_span(counts: Counts) -> list[float]:
-    """Return the device time of the first and the last sample [s]; empty without samples."""
+    """Return the device times of the first and the last sample [s]; empty tuple without samples."""
     return [counts.first_time, counts.last_time] if counts.samples else []

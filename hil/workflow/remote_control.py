@@ -1,9 +1,10 @@
-"""Pausing, stopping and answering a live run from another process.
+"""Remote control of a live run: pause, resume, stop or answer the run from a different process.
 
-A request is a file in `RUN/.control/`, which appears whole. The folder exists while the run takes
-requests (`Control`); the run removes them and logs what it did. A request names the holder of the
-run's lock, so that one that a crash has left is not obeyed by a later attempt. The requesting side
-(`pause_run`, `stop_run`, `answer_run`) waits until the live view shows the effect.
+A request is a file in `RUN/.control/`, which is written completely before it gets its final name.
+The folder `.control` exists while the run accepts requests (`Control`); the run removes each
+request and logs the requested action. A request contains the `id` of the holder of the run's lock,
+so that a later attempt ignores requests that remain after a crash. The requesting functions
+(`pause_run`, `stop_run`, `answer_run`) wait until the live view shows the effect of the request.
 """
 
 from __future__ import annotations
@@ -42,12 +43,14 @@ View = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """The prompt of a run, as it was read.
+    """Prompt of a run, read from the live view.
 
     Attributes:
-        text: The whole text.
-        asked: Number of the prompt in this attempt, from 1; 0 if the run does not count.
-        holder: `id` of the lock of the run: a resumed run counts anew.
+        text: Complete text of the prompt, as shown to the operator.
+        asked: Number of the prompt in this attempt, from 1; 0 if the run does not number its
+            prompts.
+        holder: Identifier of the holder of the run's lock, needed because a resumed run restarts
+            the numbering of its prompts.
     """
 
     text: str
@@ -60,14 +63,14 @@ What = Literal["pause", "resume", "stop", "answer"]
 
 @dataclass(frozen=True, slots=True)
 class Reaction:
-    """The state of a run after a request.
+    """State of a run after a request.
 
     Attributes:
-        run: The run directory.
-        asked: `pause`, `resume`, `stop` or `answer`.
-        state: State of the run; `completed`, `stopped`, … if it has ended.
-        reason: Why it is in that state.
-        step, steps: Index of the present step, and number of steps.
+        run: Run directory.
+        asked: Action that was requested: `pause`, `resume`, `stop` or `answer`.
+        state: State of the run; the outcome (`completed`, `stopped`, …) if the run has ended.
+        reason: Reason for the state of the run.
+        step, steps: Index of the present step, and number of steps of the plan.
     """
 
     run: str
@@ -78,7 +81,7 @@ class Reaction:
     steps: int
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract of `hil pause --json` and the like."""
+        """Return the JSON output of `hil pause`, `resume`, `stop` and `answer` with `--json`."""
         return asdict(self)
 
 
@@ -86,14 +89,15 @@ def pause_run(run: Path, *, who: str, reason: str = "", wait_s: float = WAIT_S) 
     """Pause a run at its next checkpoint.
 
     Args:
-        run: The run directory.
-        who: Name of the user; recorded.
-        reason: Why; recorded.
-        wait_s: How long to wait until it has paused [s]; 0 does not wait.
+        run: Run directory.
+        who: Name of the user who requests the pause, for the record.
+        reason: Reason for the pause, for the record.
+        wait_s: Maximum time to wait until the run is paused [s]; 0 returns at once.
 
     Raises:
-        DataError: The run is not live, or its motion is over.
-        RobotTimeout: It has not paused in that time; the request stands.
+        DataError: The run is not live, or its motion has ended.
+        RobotTimeout: The run has not paused within `wait_s`. A request that the run has already
+            accepted stays in effect; a request that the run has not accepted is withdrawn.
     """
     return _ask(run, "pause", who, wait_s, lambda view: view.get("state") == "paused", reason)
 
@@ -125,13 +129,16 @@ def _ask(
 
 
 def _hand_over(run: Path, request: ControlRequest, deadline: float) -> Path:
-    """Drop a request as soon as the run takes requests; one that has just begun does not yet."""
+    """Write a request as soon as the run accepts requests.
+
+    A run that has just begun does not accept requests yet.
+    """
     while True:
         holder = _require_moving(run)
         if request.holder not in ("", holder):
             raise DataError(
-                f"{run} was gone on with since it has asked that",
-                hint=f"follow it: hil watch {run}",
+                f"{run} was resumed after this prompt, so the prompt is no longer open",
+                hint=f"follow the run: hil watch {run}",
             )
         try:
             return drop(run, replace(request, holder=holder))
@@ -142,50 +149,54 @@ def _hand_over(run: Path, request: ControlRequest, deadline: float) -> Path:
 
 
 def _require_moving(run: Path) -> str:
-    """Return the `id` of the process that holds a run.
+    """Return the `id` of the process that holds the lock of a run.
 
     Raises:
-        DataError: The run is not live, or its motion is over.
+        DataError: The run is not live, or its motion has ended.
     """
     directory = RunDirectory.open(run)
     holder = run_holder(run)
     if holder is None:
         ended = directory.status
-        hint = f"what came of it: hil show {run}"
+        hint = f"show the result: hil show {run}"
         if ended != "completed":
-            hint = f"go on with it: hil resume {run}"
-        raise DataError(f"{run} is not live: it is {ended}", hint=hint)
+            hint = f"continue the run: hil resume {run}"
+        raise DataError(f"{run} is not active: its status is {ended}", hint=hint)
     if read_live(run).get("state") == "done":
         raise DataError(
-            f"the motion of {run} is over already", hint=f"how it goes on: hil watch {run}"
+            f"the motion of {run} has ended already", hint=f"follow the run: hil watch {run}"
         )
     return holder.id
 
 
 def _is_over(run: Path, view: View) -> bool:
-    """Return whether the run has ended, or its process has died."""
+    """Return whether a run has ended or the process of the run has died."""
     if not is_live(run):
         return True
     return view.get("state") == "done" and RunDirectory(run).stop is not None
 
 
 def _too_late(run: Path, what: What, file: Path, wait_s: float) -> RobotTimeout:
-    """Withdraw a request that was not obeyed in time; return the error, also if it was taken."""
+    """Withdraw a request that the run did not carry out in time; return the error to raise.
+
+    If the run has already accepted the request, the error contains the present state of the run.
+    """
     try:
         file.unlink()
     except FileNotFoundError:
         view = read_live(run)
-        now = f"it is {view.get('state', 'silent')}"
+        now = f"its state is {view.get('state', 'unknown')}"
         if reason := view.get("reason"):
             now += f" ({plain(reason)})"
         now += ", and pauses at its next checkpoint" if what == "pause" else ""
         return RobotTimeout(
-            f"{run} has taken the request to {what}, but not obeyed within {wait_s:g} s: {now}",
-            hint=f"follow it: hil watch {run}",
+            f"{run} has accepted the request to {what}, but has not carried it out within "
+            f"{wait_s:g} s: {now}",
+            hint=f"follow the run: hil watch {run}",
         )
     return RobotTimeout(
         f"{run} does not react: the request to {what} was withdrawn after {wait_s:g} s",
-        hint="press Ctrl-C where it was started, or the robot's own stop button",
+        hint="press Ctrl-C in the terminal of the run, or press the robot's stop button",
     )
 
 
@@ -199,31 +210,34 @@ def _reaction(run: Path, what: What, view: View) -> Reaction:
 
 
 def resume_live_run(run: Path, *, who: str, wait_s: float = WAIT_S) -> Reaction:
-    """End the pause of a live run; see `pause_run`. An interlock may hold it all the same."""
+    """End the pause of a live run; see `pause_run` for arguments and errors.
+
+    After the request to resume, an interlock possibly keeps the run paused.
+    """
     return _ask(run, "resume", who, wait_s, lambda view: view.get("state") != "paused")
 
 
 def stop_run(run: Path, *, who: str, reason: str = "", wait_s: float = WAIT_S) -> Reaction:
-    """Stop a run now, and wait until it has written its stop document; see `pause_run`."""
+    """Stop a run at once and wait until its stop document is written; see `pause_run`."""
     return _ask(run, "stop", who, wait_s, lambda view: False, reason)
 
 
 def question_of(run: Path) -> Question:
-    """Return the present prompt of a run.
+    """Return the prompt of a run that is open now.
 
     Raises:
-        DataError: It has none, or is not live.
+        DataError: The run has no open prompt, or is not live.
     """
     holder = _require_moving(run)
     question = _question_in(read_live(run))
-    # Another holder: it is the prompt of an attempt that died. No holder: of an older version.
+    # A different holder is that of a dead attempt; older versions write no holder.
     if not question.text or question.holder not in ("", holder):
-        raise DataError(f"{run} asks nothing at the moment", hint=f"follow it: hil watch {run}")
+        raise DataError(f"{run} has no open prompt", hint=f"follow the run: hil watch {run}")
     return question
 
 
 def _question_in(view: View) -> Question:
-    """Return the prompt of a live view, of the attempt that has written it."""
+    """Return the prompt that a live view shows, with the lock holder of its attempt."""
     standing = standing_in(view)
     return Question(standing.prompt, standing.asked, str(view.get("holder", "")))
 
@@ -231,31 +245,32 @@ def _question_in(view: View) -> Question:
 def answer_run(
     run: Path, yes: bool, *, who: str, asked: Question | None = None, wait_s: float = WAIT_S
 ) -> Reaction:
-    """Answer the prompt of a run; see `pause_run`.
+    """Answer the prompt of a run; see `pause_run` for further errors.
 
     Args:
-        run: The run directory.
-        yes: Whether it is done; a no stops the run.
-        who: Name of the user; recorded.
-        asked: The prompt that is answered, and no later one; by default the present one.
-        wait_s: How long to wait until the run has taken the answer [s]; 0 does not wait.
+        run: Run directory.
+        yes: Whether the requested action is done; False stops the run.
+        who: Name of the user who answers, for the record.
+        asked: Prompt to answer; the answer is refused if a later prompt is open; by default the
+            open prompt.
+        wait_s: Maximum time to wait until the run has accepted the answer [s]; 0 returns at once.
 
     Raises:
-        DataError: It has no prompt, or is not live.
+        DataError: The run has no open prompt, or is not live.
     """
     question = asked or question_of(run)
 
     def obeyed(view: View) -> bool:
-        return yes and _question_in(view) != question  # a no ends the run
+        return yes and _question_in(view) != question  # "no" ends the run
 
     return _ask(run, "answer", who, wait_s, obeyed, "", question, yes)
 
 
 def ending(run: Path) -> tuple[str, str]:
-    """Return how a run that is not live ended, and why.
+    """Return the final status of a run that is not live, and the reason for this status.
 
     Raises:
-        DataError: Its documents are damaged.
+        DataError: The documents of the run are damaged.
     """
     directory = RunDirectory.open(run)
     return directory.status, str((directory.stop or {}).get("reason", ""))
@@ -263,17 +278,17 @@ def ending(run: Path) -> tuple[str, str]:
 
 @contextlib.contextmanager
 def hold_attempt(run: Path) -> Iterator[None]:
-    """Hold a run while inside, and accept requests from the first moment: a stop, above all.
+    """Hold the lock of a run within the context, and store requests from the beginning.
 
-    They wait until `Control` takes them. The live view that an attempt has left that died, and the
-    requests to it, are removed.
+    A request, such as a stop, waits in its folder until `Control` reads it. When the context is
+    entered, the live view and the requests of an earlier attempt whose process died are removed.
 
     Raises:
-        DataError, RecordingError: See `hil.core.lock_file.hold_run`.
+        DataError, RecordingError: The lock is not available, see `hil.core.lock_file.hold_run`.
     """
     with hold_run(run):
         forget_live(run)
-        with contextlib.suppress(OSError):  # on a full disk the run takes no requests
+        with contextlib.suppress(OSError):  # on a full disk, the run accepts no requests
             (run / FOLDER).mkdir(exist_ok=True)
         try:
             yield
@@ -286,16 +301,17 @@ MOST_BYTES = 64 * 1024
 
 @dataclass(frozen=True, slots=True)
 class ControlRequest:
-    """A request to a run.
+    """Request to a run.
 
     Attributes:
-        what: What to do.
-        who: Name of the user.
-        holder: `id` of the lock of the run.
-        reason: Why, in words.
-        prompt: For `answer`: the whole text of the prompt.
-        yes: For `answer`: whether it is done.
-        asked: For `answer`: number of the prompt (`Standing.asked`); 0 if only its text is known.
+        what: Requested action.
+        who: Name of the user who makes the request.
+        holder: Identifier of the holder of the run's lock.
+        reason: Reason for the request, as text.
+        prompt: Complete text of the prompt; only for the action `answer`.
+        yes: Whether the prompted action is done; only for the action `answer`.
+        asked: Number of the prompt (`Standing.asked`), 0 if only its text is known; only for the
+            action `answer`.
     """
 
     what: What
@@ -308,16 +324,16 @@ class ControlRequest:
 
     @property
     def words(self) -> str:
-        """User and reason, for example `asked by anna: lunch`."""
+        """User and reason as text, for example `asked by anna: lunch`."""
         return f"asked by {plain(self.who)}" + (f": {plain(self.reason)}" if self.reason else "")
 
 
 def drop(run: Path, request: ControlRequest) -> Path:
-    """Write a request; return its file, which is gone as soon as the run has taken it.
+    """Write the file of a request and return its path; the run removes the file when it accepts.
 
     Raises:
-        DataError: The run does not take requests.
-        RecordingError: Its directory cannot be written to.
+        DataError: The run does not accept requests.
+        RecordingError: The run directory cannot be written to.
     """
     path = run / FOLDER / f"{time.time_ns():020d}-{os.getpid()}.json"
     draft = path.with_name(f".{path.name}")
@@ -330,56 +346,57 @@ def drop(run: Path, request: ControlRequest) -> Path:
         fsync_directory(path.parent)
     except FileNotFoundError as error:
         raise DataError(
-            f"{run} does not listen at the moment",
-            hint="it is not moving yet, or not any more; see: hil watch",
+            f"{run} does not accept requests at present",
+            hint=f"its motion has not begun or has ended: hil watch {run}",
         ) from error
     except OSError as error:
         raise RecordingError(
             f"cannot write to {run}: {error.strerror or error}",
-            hint="ask as the user who started the run, or see who may write there",
+            hint="send the request as the user who started the run, or check the permissions of "
+            "the folder",
         ) from error
     return path
 
 
 EVERY_S = 0.05
-"""Time between two looks at the folder of requests [s]."""
+"""Time between two checks of the folder of requests [s]."""
 
 
 class Steered(Protocol):
-    """The engine, as requests need it. Every member is safe from any thread."""
+    """Engine interface for requests to a run; every method may be called from any thread."""
 
     def request_pause(self, reason: str) -> None:
-        """Pause at the next checkpoint."""
+        """Pause the run at the next checkpoint."""
 
     def request_resume(self, by: str) -> None:
-        """End a pause that was requested."""
+        """End a requested pause."""
 
     def request_stop(self, reason: str, *, by_signal: bool = False) -> None:
-        """Stop now."""
+        """Stop the run immediately."""
 
 
 @runtime_checkable
 class Answerable(Protocol):
-    """A prompt that also takes answers from elsewhere; see `hil.workflow.operator`."""
+    """Prompt function that also accepts remote answers; see `hil.workflow.operator`."""
 
     def accept_remote_answers(self, run: Path | None) -> None:
-        """Accept answers to this run's prompts from now on; None ends that."""
+        """Accept answers to the prompts of this run from now on; None stops accepting them."""
 
     def answer(self, yes: bool, who: str, prompt: str, prompt_number: int = 0) -> str:
-        """Take an answer; return why it was not taken, or nothing."""
+        """Accept an answer; return the reason for refusing it, or an empty string."""
 
 
 FOLDER = ".control"
 
 
 class Control:
-    """Takes the requests to a run while it is open, on a thread of its own; a context manager.
+    """Context manager that accepts the requests to a run on a separate thread.
 
     Args:
-        run: The run directory, held by this process.
-        engine: Paused, resumed and stopped by requests.
-        event: Logs every request (`Sink.event`).
-        prompt: The engine's prompt; gets the answers if it takes any.
+        run: Directory of the run, whose lock this process holds.
+        engine: Engine of the run, which pauses, resumes and stops on request.
+        event: Function that logs every request (`Sink.event`).
+        prompt: Prompt function of the engine; receives remote answers if it is `Answerable`.
     """
 
     def __init__(
@@ -394,18 +411,18 @@ class Control:
         self._holder = ""
 
     def start(self) -> None:
-        """Begin to take requests, first those from before, since `hold_attempt`."""
+        """Start accepting requests; requests written since `hold_attempt` are handled first."""
         holder = run_holder(self._run)
         self._holder = holder.id if holder else ""
-        with contextlib.suppress(OSError):  # on a full disk the run takes no requests
+        with contextlib.suppress(OSError):  # on a full disk, the run accepts no requests
             (self._run / FOLDER).mkdir(exist_ok=True)
         if self._prompt is not None:
             self._prompt.accept_remote_answers(self._run)
-        self._look()  # the arm must not begin to move while a stop waits
+        self._look()  # the arm must not start while a stop request is pending
         self._thread.start()
 
     def close(self) -> None:
-        """Take no more requests. Idempotent."""
+        """Stop accepting requests; a second call has no effect."""
         if not self._thread.is_alive():
             return
         self._over.set()
@@ -435,8 +452,8 @@ class Control:
             try:
                 self._take(path)
             except OSError:
-                continue  # it could not be removed, or was withdrawn
-            except Exception as error:  # the next request may be a stop
+                continue  # the request was not removable, or was withdrawn
+            except Exception as error:  # continue: the next request may be a stop
                 self._note(what="unknown", problem=repr(error))
 
     def _take(self, path: Path) -> None:
@@ -455,7 +472,7 @@ class Control:
             self._note(what=request.what, who=request.who, **details)
 
     def _obey(self, request: ControlRequest) -> str:
-        """Do what is requested; return why it was not done, or nothing."""
+        """Carry out a request; return the reason for refusing it, or an empty string."""
         if request.what == "pause":
             self._engine.request_pause(request.words)
         elif request.what == "resume":
@@ -463,19 +480,19 @@ class Control:
         elif request.what == "stop":
             self._engine.request_stop(f"stop {request.words}")
         elif self._prompt is None:
-            return "the run takes no answers from elsewhere"
+            return "the run accepts no answers from other processes"
         else:
             who = plain(request.who)
             return self._prompt.answer(request.yes, who, request.prompt, request.asked)
         return ""
 
     def _note(self, **details: Any) -> None:
-        with contextlib.suppress(HilError):  # a log that has failed ends the run by itself
+        with contextlib.suppress(HilError):  # a failed log ends the run anyway
             self._event("control", **details)
 
 
 def waiting(run: Path) -> list[Path]:
-    """Return the requests that wait, oldest first."""
+    """Return the paths of the pending requests, oldest first."""
     try:
         names = sorted(os.listdir(run / FOLDER))
     except OSError:
@@ -484,11 +501,11 @@ def waiting(run: Path) -> list[Path]:
 
 
 def take(path: Path) -> ControlRequest | str:
-    """Remove a request; return it, or what is wrong with it.
+    """Remove the file of a request; return the request, or a text that describes its error.
 
     Raises:
-        OSError: It cannot be read or removed, so it must not be obeyed: it would be again and
-            again.
+        OSError: The file of the request cannot be read or removed. A request whose file cannot be
+            removed must not be obeyed, because it would be obeyed again at the next polling.
     """
     with path.open("rb") as file:
         raw = file.read(MOST_BYTES)
@@ -501,12 +518,12 @@ def take(path: Path) -> ControlRequest | str:
 
 def _request(document: Any) -> ControlRequest:
     if not isinstance(document, dict) or document.get("what") not in get_args(What):
-        raise ValueError("it does not say what to do")
+        raise ValueError("the key `what` is missing or unknown")
     return ControlRequest(**dict(_values(document)))
 
 
 _KINDS: dict[str, type] = {"yes": bool, "asked": int}
-"""Types of the fields that are no texts."""
+"""Types of the request fields that are not text."""
 
 
 def _values(document: dict[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -514,6 +531,6 @@ def _values(document: dict[str, Any]) -> Iterator[tuple[str, Any]]:
         value, kind = document.get(field.name), _KINDS.get(field.name, str)
         if value is None and field.name not in ("who", "holder"):
             continue
-        if type(value) is not kind:  # a bool is an int as well
-            raise ValueError(f"{field.name} is not a {kind.__name__}")
+        if type(value) is not kind:  # not isinstance: a bool is also an int
+            raise ValueError(f"{field.name} is not of type {kind.__name__}")
         yield field.name, value

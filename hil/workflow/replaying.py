@@ -1,8 +1,9 @@
-"""Replay of a run (`hil replay`): its recording is made again from a log of its bus.
+"""Replay of a run (`hil replay`): create the recording of the run again from a log of its bus.
 
-The log has what the wire carried; spec, plan and robot are the run's own. The result is a run
-directory like any other, whose start document names the run and the log. Its dataset is equal to
-the run's to the last bit, if the log contains the whole run (decision 0019).
+The log contains the raw data of the bus; spec, plan and robot of the replay are those of the run. A
+replay creates an ordinary run directory, whose start document names the original run and the log.
+If the log covers the whole run, the dataset of the replay is bit-identical to the dataset of the
+run (decision 0019).
 """
 
 from __future__ import annotations
@@ -34,12 +35,13 @@ from hil.workflow.recording import counts_of, recorded_span
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """The result of a replay.
+    """Result of a replay.
 
     Attributes:
-        run: The new run directory.
-        counts: Samples, gaps, … of its recording.
-        recorded: The same of the original run; empty if that has no stop document.
+        run: Directory of the new run.
+        counts: Number of samples, gaps and other counts of the new recording.
+        recorded: Number of samples and other counts of the original recording; empty if the
+            original run has no stop document.
     """
 
     run: Path
@@ -47,7 +49,7 @@ class Replay:
     recorded: Mapping[str, int]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract of `hil replay --json`."""
+        """Return the JSON output of `hil replay --json`."""
         return {
             "run": str(self.run),
             "counts": dict(self.counts),
@@ -56,23 +58,23 @@ class Replay:
 
 
 def replay(source: Path, log: Path, runs: Path) -> Replay:
-    """Make the recording of a run again, from a log of its bus.
+    """Create the recording of a run again from a log of its bus.
 
     Args:
         source: Run directory.
-        log: Log of the bus during the run.
-        runs: Where run directories are kept.
+        log: File with the bus data that were logged during the run.
+        runs: Folder in which the new run directory is created.
 
     Raises:
-        DataError: The run or the log cannot be read, or do not belong together.
-        PluginError: The driver's wire does not carry everything that a recording has.
-        RecordingError: The new run directory cannot be written.
+        DataError: The run or the log cannot be read, or the log belongs to a different run.
+        PluginError: The bus data that the driver decodes lack quantities that a recording needs.
+        RecordingError: The directory of the new run cannot be written.
     """
     run = RunDirectory.open(source)
     if run.attempts > 1:
         raise DataError(
-            f"{source} has {run.attempts} attempts, a log is of one",
-            hint="replay logs of runs that were not resumed",
+            f"{source} has {run.attempts} attempts, but a log contains only one",
+            hint="replay the log of a run that was not resumed",
         )
     require_arm_as_recorded(source)
     decoded, plan = _decoded(log, run), read_plan(run.path / "plan.json")
@@ -92,24 +94,24 @@ def replay(source: Path, log: Path, runs: Path) -> Replay:
 
 
 def _decoded(log: Path, run: RunDirectory) -> RecordedLog:
-    """Return a log as the driver of the run's robot decodes it.
+    """Return the decoded log of a bus, which the driver of the run's robot decodes.
 
     Raises:
-        DataError: The station of the run has no such robot, or the log cannot be read.
-        PluginError: The driver cannot decode logs.
+        DataError: The station of the run does not contain the robot, or the log cannot be read.
+        PluginError: The driver of the robot cannot decode logs.
     """
     name = str(run.start.get("robot_name", ""))
     entry = load_station(run.path / "station.yaml").robots.get(name)
     if entry is None:
         raise DataError(
             f"{run.path / 'station.yaml'} has no robot {name!r}",
-            hint="the run directory is damaged or was edited: take it from a copy",
+            hint="the run directory is damaged or was edited: restore it from a copy",
         )
     driver = plugins.load("hil.drivers", entry.driver)
     if not isinstance(driver, ReadsLogs):
         raise PluginError(
-            f"a log of the driver {entry.driver!r}'s wire does not hold what a recording holds",
-            hint="hil recover mends torn recordings of any driver",
+            f"a bus log of the driver {entry.driver!r} does not contain all data of a recording",
+            hint="repair the damaged recording instead: hil recover RUN",
         )
     return driver.read_log(log, entry.model, entry.options, run.start["robot"])
 
@@ -119,7 +121,7 @@ COPIED_FACTS = (
     "experiment", "plan_hash", "spec_hash", "station", "robot_name", "robot", "loads", "seed",
     "commissioning", "waivers",
 )  # fmt: skip
-"""What the new run has of the old one: files, and keys of the start document."""
+"""Keys of the start document that the new run copies from the original run."""
 
 
 def _write_beginning(directory: RunDirectory, run: RunDirectory, log: Path) -> None:
@@ -135,7 +137,10 @@ def _write_beginning(directory: RunDirectory, run: RunDirectory, log: Path) -> N
 
 
 def _span(stop: Mapping[str, Any]) -> tuple[float, float]:
-    """Return the device time of the run's recording [s]; the log begins earlier and ends later."""
+    """Return the device times at the start and at the end of the recording [s].
+
+    A complete log begins earlier and ends later than the recording.
+    """
     first, last = stop.get("recorded") or (-math.inf, math.inf)
     return float(first), float(last)
 
@@ -185,7 +190,7 @@ def _recorder(directory: RunDirectory, log: RecordedLog) -> Recorder:
 def _finish(
     directory: RunDirectory, plan: Plan, counts: Counts, stop: Mapping[str, Any], log: Path
 ) -> DataError | None:
-    """Write the stop document, with what the rows contain; return what they lack of the run."""
+    """Write the stop document of the replay; return an error if the log lacks parts of the run."""
     complete = completeness_of(plan, directory.recordings)
     problem = _lacking(complete, counts, stop, directory.path, log)
     outcome: Outcome = "failed" if problem else stop.get("outcome", "completed")
@@ -203,26 +208,27 @@ def _finish(
 
 
 AT_MOST_S = 0.5
-"""Device time that a log may begin later, or end earlier, than the recording [s]."""
+"""Maximum device time by which a log may begin later or end earlier than the recording [s]."""
 
 
 def _lacking(
     complete: Completeness, counts: Counts, stop: Mapping[str, Any], run: Path, log: Path
 ) -> DataError | None:
-    """Return the error if the run measured more than the log contains; else None."""
+    """Return the error if the run recorded more than the log contains; else None."""
     measured = complete.to_dict()
     lacks = [
         f"{measured.get(kind, {}).get('done', 0)} of {n['done']} {kind} steps"
         for kind, n in (stop.get("complete") or measured).items()
         if measured.get(kind, {}).get("done", 0) < n["done"]
     ]
-    # Stop documents of older versions do not say when the recording began and ended.
+    # Stop documents of older versions lack the start and end of the recording.
     first, last = stop.get("recorded") or (counts.first_time, counts.last_time)
     begins, ends = counts.first_time <= first + AT_MOST_S, counts.last_time >= last - AT_MOST_S
     if counts.samples and begins and ends and not lacks:
         return None
     what = ", ".join(lacks) or f"{counts.samples} samples"
     return DataError(
-        f"{log} does not hold all that the run has recorded: {what}; what there is, is in {run}",
-        hint="is it the whole log of this very run, from before the drives were set up to the end?",
+        f"{log} contains only a part of the data of the run: {what}; this part is in {run}",
+        hint="check that the log belongs to this run, begins before the set-up of the drives, and "
+        "reaches to the end",
     )

@@ -1,9 +1,9 @@
-"""Resuming a run that ended early: what was measured stays, the rest is measured.
+"""Resuming a run that ended early: retain complete measurements and measure what is missing.
 
-A plan falls into legs: the motions that lead to one measurement, and the measurement. A leg that
-is complete in the data is never repeated, an incomplete one is repeated whole, so that every dwell
-is reached from the side that the plan reaches it from. Mounting a load and checking it comes before
-the first leg under each load, because it is unknown what was done to the robot in between.
+A plan is divided into legs: the motions that lead to one measurement, and the measurement. A leg
+whose data are complete is never repeated. An incomplete leg is repeated entirely, so that every
+dwell is approached from the planned direction. The payload is mounted and checked again before the
+first leg with each load, because the load may have been changed after the run ended.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ from hil.workflow.recording import (
 
 @dataclass(frozen=True, slots=True)
 class Unfinished:
-    """A run on the disk with something left to do.
+    """Unfinished run with its plan and recordings.
 
     Attributes:
-        directory: The run.
-        experiment: Of its own copies of spec and station.
-        plan: Its own plan.
-        complete: What of the plan was measured, by the recordings.
+        directory: Run directory.
+        experiment: Experiment, loaded from the copies of spec and station in the run directory.
+        plan: Plan stored in the run directory.
+        complete: Measured part of the plan, according to the recordings.
     """
 
     directory: RunDirectory
@@ -75,49 +75,51 @@ class Unfinished:
 
 
 def require_resumable(path: Path) -> RunDirectory:
-    """Return a run that can be resumed, as far as its documents say; its recordings are not read.
+    """Return a run if its documents allow it to be resumed; the recordings are not read.
 
     Raises:
-        DataError: It is no run, one of a kind that cannot be resumed, or lacks a file.
+        DataError: The directory is not a run directory, the kind of run cannot be resumed, or a
+            file is missing.
     """
     directory = RunDirectory.open(path)
     start = directory.start
     if start.get("passive"):
         raise DataError(
-            f"{path} is a passive recording: there is no plan to go on with",
-            hint=f"use what there is (hil fit {path}), or record again",
+            f"{path} is a passive recording, which has no plan and cannot be resumed",
+            hint=f"fit the recorded data (hil fit {path}), or record again",
         )
     if "commissioning" in start:
         raise DataError(
-            f"{path} is a commissioning run: its way back would be at full speed",
-            hint="run the experiment again with --speed and --first",
+            f"{path} is a commissioning run, which cannot be resumed: the motion back to the plan "
+            "would be at full speed",
+            hint="run the experiment again with --speed-scale and --limit",
         )
     if directory.pruned:
         raise DataError(
-            f"{path} lacks recordings that were deleted (pruned.json)",
+            f"recordings of {path} were deleted (pruned.json)",
             hint="run the experiment again",
         )
     for name in ("spec.yaml", "station.yaml", "plan.json"):
         if not (path / name).is_file():
             raise DataError(
-                f"{path} has no {name}: it ended before anything moved",
-                hint="there is nothing to go on with; run the experiment again",
+                f"{path} has no {name}: the run ended before the robot moved",
+                hint="nothing can be resumed; run the experiment again",
             )
     return directory
 
 
 def open_unfinished(path: Path) -> Unfinished:
-    """Return a run that is to be resumed.
+    """Return the unfinished run that is to be resumed.
 
     Raises:
-        DataError: See `require_resumable`; or its plan or spec is not the one it was begun with,
-            or it was judged and reported already.
+        DataError: The run cannot be resumed (see `require_resumable`), its plan or spec was changed
+            since the run began, or the run already has verdict and report.
     """
     directory = require_resumable(path)
     start = directory.start
     plan = read_plan(path / "plan.json")
     experiment = load_experiment(path / "spec.yaml", path / "station.yaml")
-    # The copy in the run describes that station: its robots have the same leases.
+    # Leases depend on the source of the station, so the copy in the run keeps the original source.
     experiment = replace(experiment, station_source=str(start.get("station", "")))
     require_same_arm(_recorded_robot(directory), path, "run the experiment again")
     _require_same("plan.json", "plan_hash", start, plan.hash)
@@ -130,42 +132,45 @@ def open_unfinished(path: Path) -> Unfinished:
 def _require_same(name: str, key: str, start: Mapping[str, Any], digest: str) -> None:
     if start.get(key) != digest:
         raise DataError(
-            f"{name} is not what the run was begun with: its hash is {digest[:12]}…, "
-            f"start.json says {str(start.get(key))[:12]}…",
-            hint="put the original file back, or run the experiment again",
+            f"{name} has changed since the run began: its hash is {digest[:12]}…, but start.json "
+            f"contains {str(start.get(key))[:12]}…",
+            hint="restore the original file, or run the experiment again",
         )
 
 
 def _require_something_left(directory: RunDirectory, complete: Completeness) -> None:
-    """Raise if a run is judged and reported, or judged and no longer complete.
+    """Raise if a run already has verdict and report, or a verdict on an incomplete recording.
 
-    A verdict holds for the recording that was judged: nothing is added to it afterwards.
+    A verdict is valid for the recording that was evaluated, so no data are added to this recording
+    after the verdict.
     """
     if not directory.is_judged:
         return
-    forget_training(directory.path)  # trainings that a kill after the verdict has left
+    forget_training(directory.path)  # trainings left by a kill after the verdict
     if complete.missing:
         raise DataError(
-            f"{directory.path} was judged when it was complete, but now only {complete} are whole",
-            hint="the recording was damaged since: restore it from a copy, or run the experiment "
-            "again",
+            f"{directory.path} was complete when it was evaluated, but now only {complete} are "
+            "complete",
+            hint="the recording was damaged since then: restore it from a copy, or run the "
+            "experiment again",
         )
     if directory.is_reported:
         raise DataError(
-            f"{directory.path} is complete ({complete}), judged and reported",
-            hint=f"look at it: hil show {directory.path}",
+            f"{directory.path} is complete ({complete}), evaluated and reported",
+            hint=f"show the result: hil show {directory.path}",
         )
 
 
 def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded:
-    """Measure what is missing, in a new attempt of the same run, which this process holds.
+    """Measure what is missing in a new attempt of a run whose lock this process holds.
 
     Raises:
         SpecError, PluginError, RobotError: The robot cannot be reached or used.
-        PlanError: No clear way leads from where the arm stands back to the plan.
-        PreflightFailed: It is another robot.
-        NotConfirmed: Address or payload differs from the confirmed one, or the motion goes
-            further or is faster, and was not confirmed.
+        PlanError: No collision-free motion leads from the present pose of the arm back to the plan.
+        PreflightFailed: The connected robot is not the robot with which the run began.
+        NotConfirmed: The operator did not confirm the motion again, although address or payload
+            differs from the confirmed one, or the motion sweeps more space or is faster than
+            confirmed.
         RecordingError: The run directory cannot be written to.
     """
     experiment, plan = unfinished.experiment, unfinished.plan
@@ -175,7 +180,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         robot,
         lease,
     ):
-        attendance.stage("planning the way back")
+        attendance.stage("planning the motion back to the plan")
         todo, weighed, cold = _remaining(unfinished, robot)
         require_attended(todo, prompt_on(robot, attendance.prompt), resumed=True)
         interlocks = RunInterlocks(experiment, robot, plan)
@@ -191,9 +196,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
                 _resume_document(unfinished, robot, todo, attendance, cold=cold)
                 | ({"confirmation": confirmed} if confirmed else {}),
             )
-            attendance.stage(
-                f"going on with {plan.name} ({unfinished.complete}) → {directory.path}"
-            )
+            attendance.stage(f"resuming {plan.name} ({unfinished.complete}) → {directory.path}")
             for text in _repetitions(unfinished, todo, cold=cold):
                 attendance.stage(text)
             attempt = Attempt(directory, number, experiment, plan, todo, interlocks, before)
@@ -201,7 +204,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
 
 
 def _confirmed_before(directory: RunDirectory) -> Mapping[str, Any] | None:
-    """Return the facts that were confirmed last; None for a run without a confirmation."""
+    """Return the facts of the last confirmation of motion; None for a run without confirmation."""
     names = [name_of_attempt("resume.json", n) for n in range(directory.attempts - 1, 0, -1)]
     documents = [read_json(path) for name in names if (path := directory.path / name).is_file()]
     for document in (*documents, directory.start):
@@ -212,7 +215,7 @@ def _confirmed_before(directory: RunDirectory) -> Mapping[str, Any] | None:
 
 
 def _remaining(unfinished: Unfinished, robot: Robot) -> tuple[Plan, Readings, bool]:
-    """Return what is left to execute, what the first load weighed, and whether the arm is cold."""
+    """Return the remaining plan, the readings of the first load, and whether the arm is cold."""
     directory, plan = unfinished.directory, unfinished.plan
     require_same_robot(directory, describe_robot(robot, unfinished.experiment.robot))
     require_usable(unfinished.experiment, robot)
@@ -223,13 +226,13 @@ def _remaining(unfinished: Unfinished, robot: Robot) -> tuple[Plan, Readings, bo
 
 
 COLD_AFTER_S = 600.0
-"""An arm that has stood still for longer is warmed up again before further measurements [s]."""
+"""Standstill time after which an arm is warmed up again before further measurements [s]."""
 
 
 def _is_cold(unfinished: Unfinished, robot: Robot) -> bool:
-    """Return whether the arm has stood still too long; a simulated one is always cold."""
+    """Return whether the arm is cold after a standstill; always True for a simulated arm."""
     if robot.capabilities.clock == "virtual":
-        return True  # each connection switches it on anew
+        return True  # each connection switches the mock on anew
     directory = unfinished.directory
     moved_s, last = 0.0, -1
     for path in directory.recordings:
@@ -238,15 +241,16 @@ def _is_cold(unfinished: Unfinished, robot: Robot) -> bool:
             moved_s, last = float(np.nanmax(rows["host_time"][moving])), attempt_of(path)
     if time.time() - moved_s > COLD_AFTER_S:
         return True
-    # An attempt that measured nothing may not have come to the end of its warm-up.
+    # An attempt without any measurement possibly did not complete its warm-up.
     own = [path for path in directory.recordings if attempt_of(path) == last]
     return last > 0 and not completeness_of(unfinished.plan, own).done
 
 
 def _with_prompt(plan: Plan, directory: RunDirectory) -> Plan:
-    """Return a plan that asks for its first load, if that may not be the one that is mounted.
+    """Return a plan that prompts for its first load if a different load is possibly mounted.
 
-    A plan asks for a load when it comes to it; a resumed run may have to go back to an earlier one.
+    A plan prompts for a load when that load begins; a resumed run may have to return to an earlier
+    load, for which the plan has no prompt.
     """
     declared = [e.get("load") for e in directory.events() if e.get("kind") == "payload"]
     first = next((step.load for step in plan if step.kind == "payload"), 0)
@@ -254,14 +258,14 @@ def _with_prompt(plan: Plan, directory: RunDirectory) -> Plan:
     if not (by_hand and declared and declared[-1] != first) or plan.loads[first].prompt:
         return plan
     mass = plan.loads[first].payload.mass
-    what = f"Mount load {first} ({mass:g} kg) again" if mass else "Take the load off again"
-    prompted = replace(plan.loads[first], prompt=f"{what}: the run goes back to it")
+    what = f"Mount load {first} ({mass:g} kg) again" if mass else "Remove the load again"
+    prompted = replace(plan.loads[first], prompt=f"{what}: the run returns to load {first}")
     loads = (*plan.loads[:first], prompted, *plan.loads[first + 1 :])
     return replace(plan, loads=loads)
 
 
 def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool) -> Plan:
-    """Return what is left as a plan that begins where the robot stands."""
+    """Return the remaining steps as a plan that begins at the present pose of the robot."""
     plan, experiment = unfinished.plan, unfinished.experiment
     here = standing_at(robot.read()[-1])
     approach = Approach(
@@ -277,12 +281,12 @@ def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool
 
 
 def _before(directory: RunDirectory, rate_hz: float) -> Before:
-    """Return what the recordings so far contain; their counts are part of those of the run."""
+    """Return the totals of the earlier recordings, which are added to the counts of the run."""
     total, device_s = dict(NOTHING), 0.0
     for _, parts in groupby(directory.recordings, attempt_of):
         counts = Counts()
         for path in parts:
-            with contextlib.suppress(DataError):  # torn before its first samples
+            with contextlib.suppress(DataError):  # truncated before the first samples
                 counts = counts.after(read_topic(path, salvage=True), rate_hz)
         own = counts_of(counts)
         total = {name: total[name] + own[name] for name in COUNTED}
@@ -293,7 +297,7 @@ def _before(directory: RunDirectory, rate_hz: float) -> Before:
 def _resume_document(
     unfinished: Unfinished, robot: Robot, todo: Plan, attendance: Attendance, *, cold: bool
 ) -> dict[str, Any]:
-    """Return the content of `resume-NN.json`."""
+    """Return the content of the resume document `resume-NN.json`."""
     return {
         "resumed": utc_now(),
         "operator": attendance.operator,
@@ -312,28 +316,34 @@ def _resume_document(
 
 
 def _repetitions(unfinished: Unfinished, todo: Plan, *, cold: bool) -> Iterator[str]:
-    """Yield what is done again, and why: it might look as if the program began from the start."""
+    """Yield a message for each repeated action, with the reason for the repetition.
+
+    Without these messages, an operator might conclude that the resumed run restarts from the
+    beginning.
+    """
     kinds = {step.kind for step in todo}
     weighs = {step.load for step in todo if step.kind == "weigh"}
     events = unfinished.directory.events()
     if any(e.get("kind") == "weighing" and e.get("load") in weighs for e in events):
-        yield "weighing again, on purpose: nobody knows what was done to the load meanwhile"
+        yield "weighing again, because the load may have been changed since then"
     if cold and "warmup" in kinds and unfinished.complete.done:
-        yield "warming up again, on purpose: the arm may have cooled down meanwhile"
+        yield "warming up again, because the arm may have cooled down since then"
 
 
 def remaining_motion(unfinished: Unfinished) -> MotionFacts | None:
-    """Return what has to be confirmed before a run is resumed; None if nothing has to be.
+    """Return the facts to confirm before a run is resumed; None if no confirmation is needed.
 
-    The robot is leased and connected to for that: the way back begins where it stands.
+    `remaining_motion` leases the robot and connects to it, because the resumed motion begins at the
+    present pose of the robot.
 
     Raises:
-        SpecError, PluginError, RobotError, PlanError, PreflightFailed: See `resume_recording`.
+        SpecError, PluginError, RobotError, PlanError, PreflightFailed: The errors are those of
+            `resume_recording`.
     """
     if not unfinished.complete.missing:
         return None
     experiment = unfinished.experiment
-    # Nothing moves here, so any robot is admitted.
+    # No robot moves in this function, so any robot is admitted.
     gate = Gate(experiment, Granted("preview"), _confirmed_before(unfinished.directory))
     with held(experiment, report=lambda text: None, admit=gate.admit) as (robot, _):
         todo, _, _ = _remaining(unfinished, robot)
@@ -342,33 +352,36 @@ def remaining_motion(unfinished: Unfinished) -> MotionFacts | None:
 
 SAME_ROBOT = ("model", "gravity_m_s2", "joint_names", "rate_hz", "effort_kind", "drive_gains")
 SAME_IDENTITY = ("model", "serial", "firmware", "driver")
-"""Keys of `start.json:robot`, and of its `identity`, that must be as they were."""
+"""Keys of `start.json:robot` and of its entry `identity` whose values must be the same in a
+resumed run."""
 
 
 def _recorded_robot(directory: RunDirectory) -> Mapping[str, Any]:
-    """Return the robot of a run, from its start document; empty in runs of an older hil.
+    """Return the robot entry of a run's start document; empty for runs of an older version of hil.
 
     Raises:
-        DataError: The document is damaged there.
+        DataError: The robot entry of the start document is damaged.
     """
     robot = directory.start.get("robot", {})
     if not isinstance(robot, Mapping) or not isinstance(robot.get("identity", {}), Mapping):
         raise DataError(
-            f"{directory.path / 'start.json'} does not say which robot the run is of",
+            f"{directory.path / 'start.json'} does not state the robot of the run",
             hint="run the experiment again",
         )
     return robot
 
 
 def require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> None:
-    """Raise if a robot is not the one of a run: their samples in one dataset describe neither.
+    """Raise if a robot is not the robot with which a run began.
+
+    A dataset with samples of two robots would describe neither of the two robots.
 
     Args:
-        directory: The run.
-        robot: From `describe_robot`.
+        directory: Run directory.
+        robot: Description of the connected robot, returned by `describe_robot`.
 
     Raises:
-        PreflightFailed: It is another robot.
+        PreflightFailed: The robot is not the robot with which the run began.
         DataError: The start document is damaged.
     """
     recorded = _recorded_robot(directory)
@@ -389,10 +402,11 @@ DIED_AFTER = "the process died after the last measurement; the end was written l
 def recorded_before(unfinished: Unfinished) -> Recorded:
     """Return a run whose measuring steps are all complete, as if its motion had just ended.
 
-    A process that died after its last measurement wrote no stop document: it is written now.
+    A process that died after its last measurement wrote no stop document, so `recorded_before`
+    writes the document.
 
     Raises:
-        RecordingError: The disk refuses.
+        RecordingError: The stop document cannot be written to the disk.
     """
     directory = unfinished.directory
     before = _before(directory, unfinished.plan.rate_hz)
@@ -416,11 +430,12 @@ def recorded_before(unfinished: Unfinished) -> Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """Steps that belong together, the last of which measures, weighs or changes the load.
+    """Consecutive steps, the last of which measures, checks the payload or changes the load.
 
     Attributes:
-        steps: In order.
-        closed: False for motions at the end of a load that lead to no measurement.
+        steps: List of the steps of the leg, in order.
+        closed: Whether the leg ends with a measurement, payload check or change of the load; False
+            for motions at the end of a load that lead to no measurement.
     """
 
     steps: tuple[Step, ...]
@@ -428,12 +443,12 @@ class Leg:
 
     @property
     def last(self) -> Step:
-        """The step that the others lead to."""
+        """Last step of the leg, to which the other steps of the leg lead."""
         return self.steps[-1]
 
 
 def legs_of(plan: Plan) -> list[Leg]:
-    """Return the legs of a plan, in order; together they are all its steps."""
+    """Return the legs of a plan in order; together, the legs contain all steps of the plan."""
     legs: list[Leg] = []
     open_steps: list[Step] = []
     for step in plan:
@@ -450,14 +465,15 @@ def legs_of(plan: Plan) -> list[Leg]:
 def remaining_steps(
     plan: Plan, done: Collection[int], *, cold: bool, weigh_first: bool = False
 ) -> list[Step]:
-    """Return the steps of a plan that are still to be executed, in order.
+    """Return the steps of a plan that still have to be executed, in order.
 
     Args:
-        plan: The whole plan.
-        done: Indices of the measuring steps that are complete.
-        cold: Whether the arm has to be warmed up again.
-        weigh_first: Whether the first load has to be weighed again even if nothing is left to
-            measure with it: the others are weighed against it.
+        plan: Whole plan.
+        done: Indices of the complete measuring steps.
+        cold: Whether the arm has to be warmed up again before it measures.
+        weigh_first: Whether the payload check of the first load is repeated even if no measurement
+            with the first load is missing, because the first load is the reference for the other
+            loads.
     """
     legs = legs_of(plan)
     needed = {step.load for step in plan if step.measures and step.index not in done}
@@ -472,7 +488,7 @@ def remaining_steps(
         todo = [leg for leg in own if leg.last.measures and leg.last.index not in done]
         before = [leg for leg in own if leg.last.kind in ("payload", "weigh")]
         steps += [step for leg in before for step in leg.steps]
-        # Once, before the first measurement that is left; its leg may have the warm-up itself.
+        # One warm-up before the first remaining measurement, unless its leg contains one already.
         if todo and not any(step.kind == "warmup" for step in todo[0].steps):
             steps += warm_up
         warm_up = [] if todo else warm_up
@@ -481,24 +497,32 @@ def remaining_steps(
 
 
 Way = Callable[[FloatArray, FloatArray], Sequence[Line]]
-"""Returns clear lines from one joint position (n,) to another; raises `PlanError` without any."""
+"""Function that returns a collision-free path of straight lines from one joint position (n,) to
+another.
+
+The function raises `PlanError` if no collision-free path exists.
+"""
 
 FIRST_APPROACH = -2
-"""Index of the first motion back to the plan; the next ones count down. −1 is `no step`."""
+"""Step index of the first motion back to the plan; further motions have the indices −3, −4, ….
+
+The step index −1 is reserved for the absence of a step.
+"""
 
 
 def connected_steps(steps: Sequence[Step], here: FloatArray, way: Way) -> list[Step]:
-    """Return steps with the motions between them that the plan did not need.
+    """Return the steps and the additional motions that connect them.
 
-    The first change of load happens where the arm stands; later ones where the plan has them.
+    The first change of the load happens at the present pose of the arm; later changes happen at
+    their planned poses.
 
     Args:
-        steps: Of a plan, in order, some left out.
-        here: (n,) set-point the robot holds [rad].
-        way: Finds the way from one position to another.
+        steps: Steps of a plan, in order; some steps of the plan may be missing.
+        here: (n,) set-point that the robot holds [rad].
+        way: Function that returns a path from one joint position to another.
 
     Raises:
-        PlanError: There is no clear way.
+        PlanError: No collision-free path connects the steps.
     """
     connected: list[Step] = []
     index = FIRST_APPROACH

@@ -1,4 +1,4 @@
-"""`hil robots`: the robots of a station, and which processes hold them."""
+"""Status of the robots of a station and of the processes that use them (`hil robots`)."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from hil.workflow.live_state import read_live
 
 @dataclass(frozen=True, slots=True)
 class BenchRobot:
-    """One robot, and the process that holds it.
+    """Robot and the process that uses the robot.
 
     Attributes:
-        name: In its station.
-        driver, model: As the station says; the model is empty for a robot of another station.
-        station: File that describes it.
-        resource: Identifies what one process at a time may drive; empty if each process has its
-            own, as with the embedded mock.
-        holder: The process that holds it; None if it is free.
-        problem: Why its driver could not be constructed, else empty.
+        name: Name of the robot in its station.
+        driver, model: Driver and model of the robot in the station file; `model` is empty for a
+            robot of a different station.
+        station: Path of the station file that describes the robot.
+        resource: Identifier of the hardware that only one process at a time may drive; empty if
+            each process has a separate instance, as with the embedded mock.
+        holder: Process that holds the lease of the robot; None if the robot is free.
+        problem: Reason why the driver could not be constructed; empty if there was no error.
     """
 
     name: str
@@ -37,18 +38,18 @@ class BenchRobot:
 
     @property
     def run(self) -> str:
-        """The run that it is moved by; empty if not known."""
+        """Directory of the run that uses the robot; empty if unknown."""
         return plain(self.holder.content.get("run", ""), most=1000) if self.holder else ""
 
     @property
     def state(self) -> str:
-        """State of that run, such as `paused`; empty if not known."""
+        """State of the run that uses the robot, such as `paused`; empty if unknown."""
         if not self.run or not is_live(Path(self.run)):
             return ""
         return plain(read_live(Path(self.run)).get("state", ""))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract of `hil robots --json`."""
+        """Return the JSON output of `hil robots --json`."""
         holder: dict[str, Any] | None = None
         if self.holder is not None:
             keys = ("pid", "user", "host", "command", "since")
@@ -66,11 +67,11 @@ class BenchRobot:
 
 
 def bench(station: Path | None = None, folder: Path = Path()) -> list[BenchRobot]:
-    """Return every robot of a station, then the robots of other stations that are held.
+    """Return the status of every robot of a station, then of the leased robots of other stations.
 
     Args:
-        station: Its file; by default the one experiments in `folder` would use.
-        folder: Where `station.yaml` is looked for.
+        station: Station file; by default the station that experiments in `folder` would use.
+        folder: Folder in which `station.yaml` is searched for.
 
     Raises:
         SpecError: The station file has problems.

@@ -1,9 +1,11 @@
-"""A whole run in one call: plan, record, fit, judge, report; and the same for a resumed run.
+"""Complete runs in one call: plan, record, fit, judge and report, for new and for resumed runs.
 
-`run` and `resume` differ in their motion alone (`hil.workflow.recording`, `resuming`). What both
-have around it, signals, observers, fits, verdict and report, is in `_attended`.
+The functions `run` and `resume` differ only in their motion (`hil.workflow.recording`,
+`hil.workflow.resuming`). The function `_attended` contains the part that `run` and `resume` share:
+signals, observers, fits, verdict and report.
 
-Recorder, dynamics and report are imported when a run begins, so that `hil.run` is there at once.
+The modules for recorder, dynamics and report are imported only when a run begins, so that `import
+hil` is fast.
 """
 
 from __future__ import annotations
@@ -40,25 +42,28 @@ def run(
     desk: OperatorChannel | None = None,
     robot: str | None = None,
 ) -> RunReport:
-    """Plan, run, record, fit, judge and report.
+    """Run an experiment: plan, record, fit, evaluate and report.
 
     Args:
-        experiment: From `load`.
-        runs: Where run directories are kept.
+        experiment: Experiment returned by `load`.
+        runs: Folder in which the run directory is created.
         operator: Name of the operator; by default the user of this process.
-        observers: Receive progress events, each on its own thread.
-        waivers: Preflight check → why its failure is accepted; recorded.
-        desk: Where prompts are answered and pauses are ended; by default the console.
-        robot: Name of the experiment's robot, which confirms that it may move; a real robot does
-            not move without it.
+        observers: Receivers of progress events, each called on a separate thread.
+        waivers: Reason for accepting a failed preflight check, by name of the check; the reasons
+            are recorded.
+        desk: Channel through which prompts are answered and pauses are ended; by default the
+            console.
+        robot: Name of the experiment's robot, which confirms that the robot may move; a real robot
+            does not move without this confirmation.
 
     Returns:
-        The report; a run that ended early says so in `outcome` and `error` and is not raised.
+        Report of the run and its models. An error that ends the run early is not raised: the report
+        contains the error in `outcome` and `error`.
 
     Raises:
-        NotConfirmed: The robot is real and was not named.
+        NotConfirmed: The robot of the experiment is real, and `robot` does not name it.
         SpecError: `robot` is not the robot of the experiment.
-        HilError: What else went wrong before there was a run directory.
+        HilError: A different error occurred before the run directory was created.
     """
     require_experiment(experiment)
     if robot not in (None, experiment.spec.robot):
@@ -78,23 +83,23 @@ def run(
 
 
 def _reasons(waivers: Mapping[str, str] | None) -> dict[str, str]:
-    """Return the reason of each waiver, without space around it.
+    """Return the reason of each waiver, without surrounding white space.
 
     Raises:
-        SpecError: They are no reasons by check; a waiver without a reason is none.
+        SpecError: `waivers` is not a mapping of names to texts, or a reason is empty.
     """
-    example = "{'disk': 'another disk comes on Monday'}"
+    example = "{'disk': 'the recording is short'}"
     reasons = values_by_name(waivers, "waivers", example)
     for check, reason in reasons.items():
         if not (isinstance(reason, str) and reason.strip()):
             raise SpecError(
-                f"the waiver of {check!r} gives no reason", hint=f"for example: waivers={example}"
+                f"the waiver of {check!r} has no reason", hint=f"for example: waivers={example}"
             )
     return {check: reason.strip() for check, reason in reasons.items()}
 
 
 def _confirming(desk: OperatorChannel | None, robot: str | None, operator: str) -> OperatorChannel:
-    """Return the desk; the motion counts as confirmed if the call names the robot."""
+    """Return the operator channel; if `robot` is passed, the motion counts as confirmed."""
     confirm: Confirm = Unconfirmed() if desk is None else desk.confirm
     if robot is not None:
         confirm = Granted("robot=", operator, {"robot": robot})
@@ -111,7 +116,7 @@ def run_opened(
     waivers: Mapping[str, str],
     desk: OperatorChannel,
 ) -> RunReport:
-    """Run an experiment whose robot its caller has opened already, or None; see `run`."""
+    """Run an experiment with a robot that the caller has possibly already opened; see `run`."""
     from hil.workflow.recording import record
 
     def motion(attendance: Attendance) -> Recorded:
@@ -128,7 +133,7 @@ def _attended(
     waivers: Mapping[str, str],
     desk: OperatorChannel,
 ) -> RunReport:
-    """Execute the motion, then fit, judge and report, with signals and observers throughout."""
+    """Execute the motion, then fit, evaluate and report; react to signals in all of these steps."""
     from hil.engine import require_waivable
     from hil.workflow.recording import Attendance
 
@@ -153,7 +158,7 @@ def _attended(
                     )
                 )
             except (Exception, StopSignal):
-                # A library that was interrupted may raise an error of its own instead.
+                # An interrupted library may raise a different error than StopSignal.
                 if signals.seen:
                     raise signals.stopped() from None
                 raise
@@ -194,34 +199,37 @@ def resume(
     desk: OperatorChannel | None = None,
     robot: str | None = None,
 ) -> RunReport:
-    """Resume a run that ended early: what is complete stays, the rest is measured and judged.
+    """Resume a run that ended early: measure what is missing, then fit and evaluate.
 
-    A run in which everything was measured, but nothing judged, is judged.
+    Complete measurements of the run are not repeated. If everything was measured but the run has no
+    verdict, the run is only fitted and evaluated.
 
     Args:
-        run: The run directory.
+        run: Run directory.
         operator: Name of the operator; by default the user of this process.
-        observers: Receive progress events, each on its own thread.
-        waivers: Preflight check → why its failure is accepted; recorded.
-        desk: Where prompts are answered and pauses are ended; by default the console.
-        robot: Name of the run's robot, which confirms that it may move; needed for a real robot
-            unless address, payload and all of the motion were confirmed when the run began.
+        observers: Receivers of progress events, each called on a separate thread.
+        waivers: Reason for accepting a failed preflight check, by name of the check; the reasons
+            are recorded.
+        desk: Channel through which prompts are answered and pauses are ended; by default the
+            console.
+        robot: Name of the run's robot, which confirms that the robot may move; required for a real
+            robot unless address, payload and complete motion were confirmed when the run began.
 
     Returns:
-        The report over all attempts.
+        Report over all attempts of the run.
 
     Raises:
-        DataError: The run has nothing left to do, or its plan or spec was changed.
-        PreflightFailed: It is another robot.
-        NotConfirmed: Address or payload of a real robot changed, or the arm stands where the way
-            back sweeps more than was confirmed, and `robot` does not name it.
-        HilError: What else keeps the run from going on.
+        DataError: The run is already complete, or its plan or spec was changed.
+        PreflightFailed: The connected robot is not the robot with which the run began.
+        NotConfirmed: The address or payload of a real robot changed, or the motion back to the plan
+            sweeps more space than was confirmed, and `robot` does not name the robot.
+        HilError: A different error prevents resuming the run.
     """
     folder, desk, reasons = path_of(run), _confirming(desk, robot, operator), _reasons(waivers)
     from hil.workflow.resuming import open_unfinished, recorded_before, resume_recording
 
     RunDirectory.open(folder)
-    # Held before anything is read: two processes must not measure what is missing.
+    # Locked before reading, so that no two processes measure the missing part.
     with hold_attempt(folder):
         unfinished = open_unfinished(folder)
 
@@ -235,18 +243,19 @@ def resume(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunReport:
-    """Result of an experiment.
+    """Result of an experiment: outcome, verdict, models and report.
 
     Attributes:
-        run: The run directory.
-        uid: Its identity.
-        outcome: `completed`, `stopped`, `tripped` or `failed`.
-        verdict: Of the models on held-out data; `not judged` when the run ended early or the
-            spec has no criteria.
-        samples, gaps, duplicates: Of the robot record, by device clock.
-        models: Folders of the models, by name.
-        report: The HTML page; None if it could not be made.
-        error: What ended the run or the fit early; None if nothing did.
+        run: Run directory.
+        uid: Unique identifier of the run.
+        outcome: Outcome of the motion: `completed`, `stopped`, `tripped` or `failed`.
+        verdict: Verdict on the models, from held-out data; `not judged` if the run ended early or
+            the spec has no criteria.
+        samples, gaps, duplicates: Number of samples, gaps and repeated time stamps in the robot
+            record, by the device clock.
+        models: Paths of the model folders, sorted by name.
+        report: Path of the HTML report; None if the report could not be written.
+        error: Error that ended the run or the fit early; None if there was no error.
     """
 
     run: Path
@@ -264,7 +273,7 @@ class RunReport:
         return f"<RunReport {self.run}: {self.outcome}, {self.verdict}>"
 
     def _repr_html_(self) -> str:
-        """Return the card for a notebook."""
+        """Return the HTML card for a notebook."""
         tones: dict[str, Tone] = {"passed": "pass", "rejected": "fail"}
         facts = {
             "outcome": self.outcome,
@@ -279,7 +288,7 @@ class RunReport:
         return card("Run", self.run, facts, badge=badge, notes=notes)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract of `hil run --json`."""
+        """Return the JSON output of `hil run --json`."""
         out: dict[str, Any] = {
             "run": str(self.run),
             "uid": self.uid,

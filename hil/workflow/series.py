@@ -1,9 +1,9 @@
-"""A series: experiments that are run one after the other, each an ordinary run.
+"""Series of experiments, which are ordinary runs executed in sequence.
 
-A run that ends early ends the series: what stopped one motion may well stop the next one, or worse.
-A model that is rejected or cannot be fitted does not. After every run the document of the series is
-written anew (`hil.recording.SeriesGroup`), and so is its overview, which `hil.report` makes; a
-series that ended early is resumed from them.
+A run that ends early ends the series, because the cause possibly stops or endangers the next
+motion, too. A model that is rejected or cannot be fitted does not end the series. After every run,
+the document of the series (`hil.recording.SeriesGroup`) and its overview page (`hil.report`) are
+rewritten. A series that ended early is resumed from its document.
 """
 
 from __future__ import annotations
@@ -23,20 +23,22 @@ from hil.spec import SeriesSpec, load_series_spec
 Document = dict[str, Any]
 
 Execute = Callable[[Experiment, Document], tuple[Document, HilError | None]]
-"""Runs an experiment, or resumes its run; called with the report of that run, empty without one.
+"""Function that runs an experiment or resumes its run.
 
-Returns the run's report as `hil run --json` has it, and what ended it early or is wrong with its
-models."""
+The second argument of the function is the report of the earlier run; empty if there is none. The
+return value is the report of the run in the format of `hil run --json`, and the error that ended
+the run early or concerns its models.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """A series bound to the stations its experiments run at.
+    """Series of experiments, each with its station.
 
     Attributes:
-        spec: What the file says.
-        experiments: In the order they are run in.
-        source: The file.
+        spec: Validated content of the series file.
+        experiments: List of the experiments in the order of execution.
+        source: Path of the series file.
     """
 
     spec: SeriesSpec
@@ -46,12 +48,12 @@ class Series:
     def create_group(
         self, runs: Path, station: Path | None = None, part: Commissioning | None = None
     ) -> SeriesGroup:
-        """Make the folder of the series, which starts now.
+        """Create the folder of a series and record the start of the series.
 
         Args:
-            runs: Where run directories are kept.
-            station: Named in place of those in the files.
-            part: What of each experiment is executed, and how fast; None for all of it.
+            runs: Folder in which the run directories are created.
+            station: Path of a station file that replaces the stations named in the files.
+            part: Executed part of each experiment and its speed; None for complete experiments.
         """
         return SeriesGroup.create(
             runs,
@@ -63,11 +65,11 @@ class Series:
         )
 
     def is_finished(self, members: Sequence[Member]) -> bool:
-        """Return whether every experiment was run to its end, whatever its models are worth."""
+        """Return whether every experiment of the series ran to its end, whatever its verdict."""
         return len(members) == len(self.experiments) and all(each.measured for each in members)
 
     def without_run(self, members: Sequence[Member]) -> tuple[Experiment, ...]:
-        """Return the experiments without a run; resumed runs keep their own confirmation."""
+        """Return the experiments without a run; resumed runs retain their earlier confirmation."""
         begun = [i for i, member in enumerate(members) if member.run is not None]
         return tuple(each for i, each in enumerate(self.experiments) if i not in begun)
 
@@ -76,11 +78,11 @@ def load_series(file: Path | Source, station: Path | None = None) -> Series:
     """Read a series, its experiments and their stations.
 
     Args:
-        file: The YAML file, or what was read from it.
-        station: In place of every station the files name.
+        file: YAML file of the series, or the source that was read from this file.
+        station: Path of a station file that replaces every station named in the files.
 
     Raises:
-        SpecError: With every problem of all the files.
+        SpecError: At least one file has problems; the message lists the problems of all files.
     """
     spec = load_series_spec(file)
     experiments: list[Experiment] = []
@@ -98,20 +100,20 @@ def load_series(file: Path | Source, station: Path | None = None) -> Series:
 
 
 def commissioning_of_series(group: SeriesGroup) -> Commissioning | None:
-    """Return what of each experiment is executed, and how fast; None for all of it."""
+    """Return the executed part of each experiment and its speed; None for complete experiments."""
     recorded = group.head.get("commissioning")
     return Commissioning.from_dict(recorded) if recorded else None
 
 
 @dataclass(frozen=True, slots=True)
 class SeriesReport:
-    """The result of a series.
+    """Result of a series.
 
     Attributes:
-        folder: Where its overview is.
-        page: The overview; None if it could not be made.
-        members: The experiments that were begun.
-        left: Names of those that were not.
+        folder: Folder of the series, which contains the overview page.
+        page: Path of the overview page; None if the page could not be written.
+        members: Experiments of the series that were started.
+        left: Names of the experiments that were not started.
     """
 
     folder: Path
@@ -121,11 +123,11 @@ class SeriesReport:
 
     @property
     def error(self) -> HilError | None:
-        """The worst: what ended the series, else what is wrong with a model, else a rejection."""
+        """Most severe error of the series: its final error, a model error, or a rejection."""
         return worst_error(self.members)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract of `hil run SERIES --json`."""
+        """Return the JSON output of `hil run SERIES --json`."""
         return {
             "series": str(self.folder),
             "page": str(self.page) if self.page else None,
@@ -136,15 +138,15 @@ class SeriesReport:
 
 
 def run_series(series: Series, group: SeriesGroup, execute: Execute) -> SeriesReport:
-    """Run the experiments of a series one after the other, or those that are left of it.
+    """Run the experiments of a series in sequence, or only those that remain.
 
     Args:
-        series: What is to be done.
-        group: Its folder, held by this process; kept up to date after every run.
-        execute: Runs one experiment, or resumes its run.
+        series: Series whose experiments are run.
+        group: Folder of the series, which this process has locked; updated after every run.
+        execute: Function that runs one experiment, or resumes the run of the experiment.
 
     Raises:
-        DataError: The file names other experiments than those that were run.
+        DataError: The series file names other experiments than those that were already run.
     """
     members = group.members()
     _require_same_experiments(series, members)
@@ -166,7 +168,7 @@ def _require_same_experiments(series: Series, members: Sequence[Member]) -> None
     if then != now[: len(then)]:
         raise DataError(
             f"{series.source} now begins with {', '.join(now)}, but {', '.join(then)} were run",
-            hint=f"begin it anew: hil run {series.source}",
+            hint=f"start a new series: hil run {series.source}",
         )
 
 
@@ -176,18 +178,18 @@ def _executed(experiment: Experiment, execute: Execute, before: Document) -> Mem
         report, wrong = execute(experiment, before)
     except HilError as error:
         return replace(blank, error=error)
-    except KeyboardInterrupt:  # between two runs; a run itself says what stopped it
+    except KeyboardInterrupt:  # between two runs; a run handles this error itself
         stopped = Stopped(
             "stopped between two runs of the series",
             by_signal=True,
-            hint="hil resume with the folder of the series goes on",
+            hint="continue with: hil resume FOLDER_OF_THE_SERIES",
         )
         return replace(blank, error=stopped)
     return replace(blank, report=report, error=wrong)
 
 
 def _write(group: SeriesGroup, members: Sequence[Member]) -> Path | None:
-    """Replace document and overview; return None if the latter could not be made."""
+    """Rewrite document and overview page of a series; return None if the page is not written."""
     group.write(members)
     try:
         return render_series(group.path)

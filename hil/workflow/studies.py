@@ -1,8 +1,9 @@
-"""The studies of a run: each by itself on the whole recording, its result beside the fits.
+"""Studies of a run: each study uses the whole recording and stores its result beside the fits.
 
-One of them, `load-validation`, judges the models of a run under its loads (`judge_under_loads`). It
-uses the stored models, by paths relative to the run, so that nothing is fitted twice, and
-`hil study` or `hil validate-loads` make the same study again.
+The study `load-validation` evaluates the models of a run with the loads of the run
+(`judge_under_loads`). The load validation uses the stored models, by paths relative to the run.
+Because the load validation uses stored models, no model is fitted twice, and `hil study` and `hil
+validate-loads` reproduce the same study.
 """
 
 from __future__ import annotations
@@ -59,34 +60,36 @@ if TYPE_CHECKING:
     from hil.studies import Failed, UnderLoads
 
 Watch = Callable[[str, str, int, int], None]
-"""Called with the name of a study, what it is doing, and how many of how many steps are done."""
+"""Callback that receives the name of a study, its present activity, and the numbers of completed
+and total steps."""
 
 OnFitEnd = Callable[[str, Ended], None]
-"""Called with the name of a study, and which of its fits is done."""
+"""Callback that receives the name of a study and the fit of the study that has ended."""
 
 Tell = Callable[[Mapping[str, Any]], None]
-"""Called with events: `training` at an epoch, `fit_note`, `fitted` at the end of a fit."""
+"""Callback that receives events: `training` at an epoch, `fit_note`, and `fitted` at the end of
+a fit."""
 
 Row = dict[str, Any]
-"""A row of a verdict, as JSON."""
+"""Row of a verdict, as a JSON object."""
 
 
 def unwatched(name: str, what: str, done: int, total: int) -> None:
-    """Ignore the progress of studies."""
+    """Ignore the progress of the studies."""
 
 
 def unheard(name: str, ended: Ended) -> None:
-    """Ignore the ends of fits."""
+    """Ignore the ends of fits within studies."""
 
 
 @dataclass(frozen=True, slots=True)
 class StudiesReport:
-    """The result of the studies of a run.
+    """Result of the studies of a run.
 
     Attributes:
-        run: The run directory.
-        made: Folder and result of each study that was made.
-        problems: Name of each study that failed, and why.
+        run: Run directory.
+        made: Folder and result of each completed study.
+        problems: Name and error of each study that failed.
     """
 
     run: Path
@@ -95,7 +98,10 @@ class StudiesReport:
 
     @property
     def error(self) -> HilError | None:
-        """One error for all studies that are missing; a `DataError` if all of them are."""
+        """Combined error of all failed studies; None if no study failed.
+
+        The combined error is a `DataError` if all errors are data errors, else a `FitError`.
+        """
         if not self.problems:
             return None
         errors = [error for _, error in self.problems]
@@ -114,20 +120,21 @@ def study(
     parameters: dict[str, Any] | None = None,
     watch: Watch | None = None,
 ) -> tuple[StudyResult, ...]:
-    """Make the studies of a run's spec again, or another one; the report is made again, too.
+    """Run the studies of a run's spec again, or run a different study, and rewrite the report.
 
     Args:
-        run: The run directory.
-        name: Name in `hil.studies`; by default all that the run's spec names.
-        parameters: The study's own parameters, over those in the spec.
-        watch: Called with the study, what it is doing, and how many of how many steps are done.
+        run: Run directory.
+        name: Name of a study in `hil.studies`; by default all studies in the run's spec.
+        parameters: Parameters of the study, which override the parameters in the spec.
+        watch: Callback that receives the study, its present activity, and the numbers of completed
+            and total steps.
 
     Returns:
-        The results, as they were written into the run directory.
+        Results of the studies, as written into the run directory.
 
     Raises:
-        SpecError, PluginError: There is no such study or parameter.
-        DataError, FitError: The run does not allow it; studies beside it have been made.
+        SpecError, PluginError: The study or a parameter does not exist.
+        DataError, FitError: A study is not possible with this run; all other studies are complete.
     """
     folder = path_of(run)
     own = values_by_name(parameters, "parameters", "{'seed': 3}")
@@ -141,20 +148,22 @@ def study(
 def entries_for(
     run: Path, name: str | None = None, parameters: Mapping[str, Any] | None = None
 ) -> tuple[StudyEntry, ...]:
-    """Return the studies to make: those of the run's spec, or one by name.
+    """Return the studies to run: all studies of the run's spec, or one study by name.
 
     Args:
-        run: The run directory.
-        name: Which study; by default all of the spec.
-        parameters: Laid over those of the spec.
+        run: Run directory.
+        name: Name of the study; by default all studies of the spec.
+        parameters: Parameters of the study, which override the parameters in the spec.
 
     Raises:
-        DataError: It is no run directory, or still recording.
-        SpecError: There is no study in the spec, or several that the parameters could be for.
+        DataError: The path is not a run directory, or the run is still recording.
+        SpecError: The spec names no study, or several studies accept the parameters.
     """
     RunDirectory.open(run)
     if is_live(run):
-        raise DataError(f"{run} is still recording", hint=f"wait for its end: hil watch {run}")
+        raise DataError(
+            f"{run} is still recording", hint=f"wait until the run ends: hil watch {run}"
+        )
     entries = [entry for entry in _entries_of_spec(run) if name in (None, entry.study)]
     if name is not None and not entries:
         entries = [StudyEntry(study=name)]
@@ -167,7 +176,10 @@ def entries_for(
         return tuple(entries)
     if len(entries) > 1:
         names = ", ".join(entry.study for entry in entries)
-        raise SpecError(f"the parameters could be for any of {names}", hint="choose with --study")
+        raise SpecError(
+            f"the parameters could belong to any of the studies {names}",
+            hint="choose one of them with --study",
+        )
     (entry,) = entries
     values = {**entry.parameters, **parameters}
     spec = _spec(run)
@@ -177,7 +189,7 @@ def entries_for(
 
 
 def missing_studies(run: Path, entries: Sequence[StudyEntry]) -> tuple[StudyEntry, ...]:
-    """Return the studies with neither a result nor a recorded problem, as after a kill.
+    """Return the studies with neither a result nor a recorded problem, for example after a kill.
 
     Raises:
         SpecError, PluginError: A study or a parameter does not exist.
@@ -201,21 +213,24 @@ def run_studies(
     watch: Watch = unwatched,
     on_fit_end: OnFitEnd = unheard,
 ) -> StudiesReport:
-    """Make studies of a run; one that fails leaves the run and the others as they are.
+    """Run studies of a run; a failed study affects neither the run nor the other studies.
 
-    The recording is read once, moves included. Writes `study/<name>-<digest>/study.json` each, or
-    `problem.json` in its place if the run's spec asks for just that study: a failure with other
-    parameters is reported to the caller only, as it is no problem of the run.
+    The recording of the run, including its moves, is read only one time. Each study writes
+    `study/<name>-<digest>/study.json`. A failed study writes `problem.json` instead of `study.json`
+    if the run's spec contains the study with the same parameters. If the parameters differ from the
+    spec, only the caller receives the error, because it is not a problem of the run.
 
     Args:
-        run: The run directory.
-        entries: Which studies, with their parameters.
-        watch: Receives their progress.
-        on_fit_end: Called with every fit that is done, of studies that fit in processes.
+        run: Run directory.
+        entries: Studies to run, each with its parameters.
+        watch: Callback that receives the progress of the studies.
+        on_fit_end: Callback that receives every completed fit of a study that fits in worker
+            processes.
 
     Raises:
-        SpecError, PluginError: A study or a parameter does not exist; nothing has been done.
-        KeyboardInterrupt: As it came; what was made before is kept.
+        SpecError, PluginError: A study or a parameter does not exist; none of the studies was run.
+        KeyboardInterrupt: The user interrupted the studies; the results of completed studies remain
+            stored.
     """
     studies = [(entry, made_study(entry.study, **entry.parameters)) for entry in entries]
     made: list[tuple[Path, StudyResult]] = []
@@ -238,7 +253,7 @@ def run_studies(
 
 
 def _entries_of_spec(run: Path) -> tuple[StudyEntry, ...]:
-    """Return the studies of the run's spec; a passive recording has none."""
+    """Return the studies in the run's spec; an empty list for a passive recording."""
     spec = _spec(run)
     return () if spec is None else (*spec.study, *under_loads(run, spec))
 
@@ -264,26 +279,26 @@ def _make(
         write_study(result, folder)
     except (HilError, OSError):
         raise
-    # Studies are plug-ins: whatever one of them raises must not cost the others.
+    # Studies are plug-ins: an error of one must not prevent the others.
     except Exception as error:
         raise FitError(
-            f"{progress.name} broke down: {type(error).__name__}: {error}",
-            hint="this is a fault of the study: report it to whoever wrote it",
+            f"{progress.name} failed: {type(error).__name__}: {error}",
+            hint="the study has a bug: report it to its author",
         ) from error
     return result
 
 
 def _blas_threads() -> int:
-    """Return the number of BLAS threads now, but no more than cores: threads beyond only spin."""
+    """Return the number of BLAS threads of this process, at most the number of cores."""
     return min(cores(), max((pool["num_threads"] for pool in threadpool_info()), default=1))
 
 
 EVERY_S = 0.1
-"""Least time between two calls about the progress within one activity of a study [s]."""
+"""Minimum time between two progress callbacks within one activity of a study [s]."""
 
 
 class _Throttled:
-    """Progress of one study, without the thousands of steps that no screen shows."""
+    """Progress of one study, reported at most at the rate that a screen can show."""
 
     def __init__(self, name: str, watch: Watch, on_fit_end: OnFitEnd) -> None:
         self.name, self._watch, self._on_fit_end = name, watch, on_fit_end
@@ -295,7 +310,7 @@ class _Throttled:
             self._watch(self.name, what, done, total)
 
     def ended(self, ended: Ended) -> None:
-        """Report a fit that is done: none of them is left out."""
+        """Report a completed fit; the rate of these reports is not limited."""
         self._on_fit_end(self.name, ended)
 
 
@@ -303,9 +318,10 @@ STUDY = "load-validation"
 
 
 def under_loads(run: Path, spec: ExperimentSpec) -> tuple[StudyEntry, ...]:
-    """Return the study of the run's models under its loads, if the spec asks for it.
+    """Return the load validation of a run's models; None if the spec does not require it.
 
-    Only of honest models: others have seen what they would be judged on.
+    Only models with the protocol `honest` are validated; other models have used the data on which
+    they would be evaluated.
     """
     if not spec.validation.under_loads:
         return ()
@@ -321,9 +337,10 @@ def under_loads(run: Path, spec: ExperimentSpec) -> tuple[StudyEntry, ...]:
 
 
 def as_in_spec(spec: ExperimentSpec, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return parameters of the study, with the settings of estimators and the hold-out of the spec.
+    """Return the parameters of a study, with the estimator settings and hold-out set of the spec.
 
-    So the study has the same result if it is asked for by the spec or by `hil validate-loads -e`.
+    With these parameters, the study has the same result for the spec and for `hil validate-loads
+    -e`.
     """
     settings = {fit.estimator: fit.parameters for fit in reversed(spec.fit)}
     values: dict[str, Any] = dict(parameters)
@@ -342,7 +359,7 @@ def as_in_spec(spec: ExperimentSpec, parameters: Mapping[str, Any]) -> dict[str,
 
 
 def of_other_arms(run: Path, models: Sequence[str]) -> tuple[str, ...]:
-    """Return a warning for every stored model that was fitted to another individual."""
+    """Return a warning for every stored model that was fitted to a different individual robot."""
     mine = serial_of(run)
     warnings = []
     for name in models:
@@ -350,26 +367,28 @@ def of_other_arms(run: Path, models: Sequence[str]) -> tuple[str, ...]:
         training = load_model_file(place).training_
         if mine and training and training.serial and training.serial != mine:
             warnings.append(
-                f"{name} IS OF ANOTHER ROBOT: it was fitted to serial {training.serial}, this run "
-                f"is of {mine}; what differs between the two counts as its error, and tells of "
-                "loads what is not so"
+                f"{name} BELONGS TO A DIFFERENT ROBOT: the model was fitted to serial "
+                f"{training.serial}, this run was measured on serial {mine}; "
+                "differences between the robots count as model errors and make the results on "
+                "loads wrong"
             )
     return tuple(warnings)
 
 
 WHERE = "under loads"
-"""Name in the verdict for what could not be judged."""
+"""Name under which a failed load validation appears in the verdict."""
 
 
 def judge_under_loads(
     run: Path, spec: ExperimentSpec, data: Dataset, tell: Tell
 ) -> tuple[list[Row], list[FailedFit]]:
-    """Judge a run's models under its loads, and write the study, or why there is none.
+    """Evaluate a run's models with its loads, and write the study or the reason of its failure.
 
     Returns:
-        Rows of the verdict, one per criterion about loads; and what could not be judged.
+        Rows of the verdict, one row per criterion about loads, and the models that could not be
+        evaluated.
     """
-    tell({"kind": "stage", "stage": "judging under loads"})
+    tell({"kind": "stage", "stage": "evaluating models with loads"})
     try:
         results, failed = _load_validation(run, spec, data, tell)
     except HilError as error:
@@ -384,7 +403,9 @@ def _load_validation(
 ) -> tuple[Sequence[UnderLoads], Sequence[Failed]]:
     entries = under_loads(run, spec)
     if not entries:
-        raise FitError("there is no honest model to judge", hint=f"hil show {run}")
+        raise FitError(
+            "there is no model with the protocol `honest` to evaluate", hint=f"hil show {run}"
+        )
     validation = made_study(STUDY, **entries[0].parameters)
     assert isinstance(validation, LoadValidation)
     folder = run / STUDIES / folder_of(STUDY, validation.get_params())
@@ -406,7 +427,7 @@ def _load_validation(
 
 
 def rows_of(accept: Accept, results: Sequence[UnderLoads]) -> Iterator[Row]:
-    """Yield the criteria about loads, as rows of a verdict."""
+    """Yield one row of a verdict for each criterion about loads."""
     if (limit := accept.load_error_ratio) is not None:
         for model in results if limit.of == "every" else results[:1]:
             ratio = model.worst(limit.told)[1]
@@ -418,11 +439,14 @@ def rows_of(accept: Accept, results: Sequence[UnderLoads]) -> Iterator[Row]:
 
 
 def _errors(model: UnderLoads, payload: str) -> str:
-    """Return both errors of a ratio in words: a model that is bad on the bare arm has a small one.
+    """Return a text with the two errors from which a ratio was computed.
+
+    The two errors are shown with the ratio, because a model with a large error without a load has a
+    small ratio.
 
     Args:
-        model: Judged under loads.
-        payload: What the model knows of the load: `declared`, `calibrated`, …
+        model: Name of the model that was evaluated with loads.
+        payload: Source of the payload that the model knows: `declared`, `calibrated`, …
     """
     load, bare = model.worst(payload)[0], model.loads[0]
     loaded_nm, bare_nm = mean_of(load.errors[payload]), mean_of(bare.errors["declared"])

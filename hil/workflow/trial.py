@@ -1,4 +1,4 @@
-"""A trial of a model on a simulated arm, and its page."""
+"""Trial of a model in controllers on a simulated arm, with a report page."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.export import require_new, write_folder
 from hil.report import TRY_OUT_FILE, page_html, trial_page
 
 
-def try_out(
+def simulate(
     model: AnyPath,
     out: AnyPath,
     *,
@@ -22,34 +22,37 @@ def try_out(
     friction_share: float = FRICTION_SHARE,
     progress: Callable[[str], object] | None = None,
 ) -> Trial:
-    """Try a model in controllers, on a simulated arm driven by torque; write and return the result.
+    """Try a model in controllers on a simulated torque-controlled arm; write and return the result.
 
     Args:
-        model: Its folder.
-        out: Folder to make, with `report.html` and `try-out.json`.
-        station: With the simulated arm the model was fitted on; by default the station that
-            experiments here would use, or a mock of that arm.
-        robot: Name in the station; by default its only robot that is the model's.
-        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload` that is mounted and
-            that the model knows of.
-        seed: Of the trajectory; another one than that of an experiment with the same seed.
-        friction_share: Share of the dry friction that is compensated while the arm is guided by
-            hand; below 1.
-        progress: Called with what is being run.
+        model: Path of the model folder.
+        out: Folder that the function creates, with `report.html` and `try-out.json`.
+        station: Station file with the simulated arm; by default the station that experiments in the
+            working directory would use, or a mock of the arm that the model was fitted to.
+        robot: Name of a robot in the station; by default the only robot in the station that fits
+            the model.
+        payload: Mounted payload, which the model knows: `MASS` or `MASS,X,Y,Z` [kg, m], a number
+            [kg] or a `Payload`.
+        seed: Seed of the test trajectory; an experiment with the same seed has a different
+            trajectory.
+        friction_share: Share of the dry friction that is compensated during hand guiding; must be
+            below 1.
+        progress: Callback that receives the name of the present step.
 
     Raises:
-        SpecError: The robot is no simulated one with torque control, or is another arm; no station
-            was named, and the default one has no mock of the model's arm; an argument is invalid.
-        FitError: The model has no gravity, or predicts no torques.
-        PlanError: There is no motion clear of collisions.
-        RecordingError: The folder exists, or cannot be written.
+        SpecError: The robot is not a simulated arm with torque control, or its arm differs from
+            that of the model; no station was named and the default station has no mock of the
+            model's arm; or an argument is invalid.
+        FitError: The model does not contain gravity, or does not predict torques.
+        PlanError: There is no collision-free motion.
+        RecordingError: The folder exists already, or cannot be written.
     """
     folder = path_of(out)
     require_new(folder)
     load, number = payload_of(payload), whole_number(seed, "seed", 0)
     if number > MOST_SEED:
         raise SpecError(
-            f"the seed is {number}, but must be 0 to {MOST_SEED}", hint="choose another --seed"
+            f"the seed is {number}, but must be 0 to {MOST_SEED}", hint="choose a different --seed"
         )
     place = trial_place(path_of(model), path_of(station) if station else None, robot, load)
     trial = run_trial(place, number, friction_share, progress or (lambda text: None))

@@ -1,1 +1,1 @@
-"""A mock robot, true to physics and to wire protocol."""
+"""Mock robots with physically accurate simulation and real wire protocols."""

@@ -1,4 +1,4 @@
-"""`python -m hil_mock_robot NAME …`: mock robots that are processes of their own."""
+"""Command `python -m hil_mock_robot NAME …`, which runs a mock robot as a separate process."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MOCKS = {
 
 
 def main() -> int:
-    """Run the mock that the first argument names."""
+    """Run the mock named by the first argument."""
     name = sys.argv[1] if len(sys.argv) > 1 else ""
     if name in MOCKS:
         return int(import_module(MOCKS[name]).main(sys.argv[2:]))

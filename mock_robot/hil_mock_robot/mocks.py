@@ -1,4 +1,4 @@
-"""The mocks as the command line sees them (entry point group `hil.mocks`)."""
+"""Mocks as plug-ins of the command line (entry point group `hil.mocks`)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from hil_mock_robot.plant.truth import Profile, draw_truth
 
 
 class DrawnMock:
-    """What all mocks have for the command line.
+    """Base class of the mocks for the command line.
 
     Attributes:
-        model: Its usual arm.
+        model: Default arm.
     """
 
     model = "ur5"
@@ -21,39 +21,39 @@ class DrawnMock:
     def write_truth(
         self, path: Path | str, model: str = "", seed: int = 0, profile: Profile = "full"
     ) -> Path:
-        """Write every parameter of a mock robot to a JSON file, for scoring.
+        """Write every true parameter of a mock robot to a JSON file, for scoring.
 
         Args:
-            path: The file.
-            model: Built-in arm; its usual one when empty.
-            seed: Which individual.
-            profile: Of the physics.
+            path: Path of the file.
+            model: Built-in arm; empty for the default arm.
+            seed: Seed for the random parameters of the arm.
+            profile: Physics profile of the mock: `full` or `ideal`.
 
         Raises:
-            SpecError: There is no such arm or profile.
+            SpecError: The arm or the profile does not exist.
             RecordingError: The file cannot be written.
         """
         return draw_truth(model or self.model, seed, profile).to_json(path)
 
 
 class EmbeddedMock(DrawnMock):
-    """A robot inside the process that uses it; needs no server, no ports and no wall time."""
+    """Robot inside the process that uses it; needs no server, no ports and no wall time."""
 
     name = "embedded"
     description = "any built-in arm, in this process, on a virtual clock (station: driver: mock)"
 
 
 class UrMock(DrawnMock):
-    """A UR controller in a process of its own, with all the interfaces its clients use."""
+    """UR controller in a separate process, with all interfaces of its clients."""
 
     name = "ur"
     description = "a UR controller on loopback sockets (hil mock ur; station: driver: ur)"
 
     def serve(self, arguments: Sequence[str]) -> int:
-        """Be that controller until SIGINT or SIGTERM; returns the exit code.
+        """Run the controller until SIGINT or SIGTERM; return the exit code.
 
         Args:
-            arguments: As of `python -m hil_mock_robot ur`.
+            arguments: Command-line arguments as for `python -m hil_mock_robot ur`.
         """
         from hil_mock_robot.ur.mock import main
 
@@ -61,20 +61,20 @@ class UrMock(DrawnMock):
 
 
 class CanMock(DrawnMock):
-    """An arm on CiA 402 drives on a CAN bus, in a process of its own."""
+    """Arm with CiA 402 drives on a CAN bus, in a separate process."""
 
     name = "can"
     model = "lab6"
     description = "an arm on CiA 402 drives on a CAN bus (hil mock can; station: driver: cia402)"
 
     def serve(self, arguments: Sequence[str]) -> int:
-        """Be those drives until SIGINT or SIGTERM; returns the exit code.
+        """Run the drives until SIGINT or SIGTERM; return the exit code.
 
         Args:
-            arguments: As of `python -m hil_mock_robot can`.
+            arguments: Command-line arguments as for `python -m hil_mock_robot can`.
 
         Raises:
-            PluginError: A package that it needs is not installed.
+            PluginError: A required package is not installed.
         """
         try:
             from hil_mock_robot.cia402.mock import main
@@ -87,20 +87,20 @@ class CanMock(DrawnMock):
 
 
 class PlcMock(DrawnMock):
-    """A TwinCAT PLC in a process of its own, for drivers that speak ADS."""
+    """TwinCAT PLC in a separate process, for drivers that use ADS."""
 
     name = "plc"
     model = "lab6"
     description = "a PLC that plays trajectories, by ADS on a loopback port (hil mock plc)"
 
     def serve(self, arguments: Sequence[str]) -> int:
-        """Be that PLC until SIGINT or SIGTERM; returns the exit code.
+        """Run the PLC until SIGINT or SIGTERM; return the exit code.
 
         Args:
-            arguments: As of `python -m hil_mock_robot plc`.
+            arguments: Command-line arguments as for `python -m hil_mock_robot plc`.
 
         Raises:
-            PluginError: A package that it needs is not installed.
+            PluginError: A required package is not installed.
         """
         try:
             from hil_mock_robot.twincat.mock import main

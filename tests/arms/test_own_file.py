@@ -101,7 +101,7 @@ def test_a_run_that_has_the_digest_of_the_bytes_needs_the_same_bytes(
         require_same_arm(recorded, Path("run"), "do without")
     changed(path, "# UR5" if kind == "description" else "of nobody's", "# Of ours")
     require_same_arm(now, Path("run"), "do without")
-    with pytest.raises(DataError, match="describes another arm than when run was made"):
+    with pytest.raises(DataError, match="has changed since run was made"):
         require_same_arm(earlier, Path("run"), "do without")
 
 

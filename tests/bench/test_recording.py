@@ -29,4 +29,4 @@ def test_a_short_soak_reads_back_all_it_has_recorded() -> None:
 def test_an_option_that_a_benchmark_does_not_have_is_refused() -> None:
     with pytest.raises(PluginError, match="mcap has no option kills") as caught:
         measure("mcap", kills=3)
-    assert "it has quick" in caught.value.hint
+    assert "its options are quick" in caught.value.hint

@@ -72,17 +72,17 @@ def test_we_read_what_python_can_writes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        ("(1.0) can0 181#0", "no frame"),
-        ("(1.0) can0 181#" + 9 * "00", "no frame"),
-        ("(1.0) can0 18#00", "no frame"),
-        ("(1.0) can0 FFF#00", "no frame"),
-        ("(1.0) can0 C0000001#", "no identifier"),
-        ("(nan) can0 181#00", "no frame"),
-        ("1.0 can0 181#00", "no frame"),
+        ("(1.0) can0 181#0", "not a frame"),
+        ("(1.0) can0 181#" + 9 * "00", "not a frame"),
+        ("(1.0) can0 18#00", "not a frame"),
+        ("(1.0) can0 FFF#00", "not a frame"),
+        ("(1.0) can0 C0000001#", "not an identifier"),
+        ("(nan) can0 181#00", "not a frame"),
+        ("1.0 can0 181#00", "not a frame"),
         ("(1.0) can0 181##100", "CAN FD"),
-        ("(1.0) can0 181#R9", "no frame"),
-        ("(1.000", "no frame"),
-        ("\udcff\x00", "no frame"),
+        ("(1.0) can0 181#R9", "not a frame"),
+        ("(1.000", "not a frame"),
+        ("\udcff\x00", "not a frame"),
     ],
 )
 def test_a_damaged_line_is_named_with_its_file(tmp_path: Path, line: str, told: str) -> None:
@@ -101,7 +101,7 @@ def test_a_log_of_two_buses_is_read_one_at_a_time(tmp_path: Path) -> None:
     lines = [line_of(frame, f"can{number % 2}") for number, frame in enumerate(FRAMES)]
     log.write_text("\n".join(lines))
     assert list(read_candump(log, "can1")) == FRAMES[1::2]
-    with pytest.raises(DataError, match=r"bus\.log:2: channel can1, and can0 before it"):
+    with pytest.raises(DataError, match=r"bus\.log:2: channel can1 after channel can0"):
         list(read_candump(log))
 
 

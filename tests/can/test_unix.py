@@ -153,7 +153,7 @@ def test_raw_and_python_can_ends_understand_each_other(
 
 
 def test_without_a_hub_it_says_who_hosts_it(can_channel: str) -> None:  # noqa: F811
-    with pytest.raises(can.CanInitializationError, match="nobody hosts") as raised:
+    with pytest.raises(can.CanInitializationError, match="has no host") as raised:
         unix_bus(can_channel)
     assert can_channel in str(raised.value)
     assert "hil mock can" in str(raised.value)
@@ -167,7 +167,7 @@ def test_the_socket_of_a_dead_hub_says_the_same(can_channel: str) -> None:  # no
 
 
 def test_a_name_that_is_none_is_refused() -> None:
-    with pytest.raises(can.CanInitializationError, match="no channel"):
+    with pytest.raises(can.CanInitializationError, match="not a valid channel"):
         unix_bus("no/name")
 
 
@@ -177,9 +177,9 @@ def test_when_the_hub_ends_both_directions_say_so(can_channel: str) -> None:  # 
         hub.ask(lambda _: None)  # it was accepted
     with bus:
         for _ in range(2):
-            with pytest.raises(can.CanOperationError, match="has hung up"):
+            with pytest.raises(can.CanOperationError, match="the hub closed the connection"):
                 bus.recv(1.0)
-        with pytest.raises(can.CanOperationError, match="has hung up"):
+        with pytest.raises(can.CanOperationError, match="the hub closed the connection"):
             bus.send(message())
 
 
@@ -231,7 +231,7 @@ def test_when_nobody_takes_its_frames_sending_gives_up(can_channel: str) -> None
 
 
 def test_can_fd_is_refused(pair: tuple[can.BusABC, can.BusABC]) -> None:
-    with pytest.raises(ValueError, match="no CAN FD"):
+    with pytest.raises(ValueError, match="not CAN FD"):
         pair[0].send(can.Message(is_fd=True, data=bytes(12)))
 
 
@@ -278,7 +278,7 @@ def test_without_a_runtime_folder_the_temporary_one_is_used(
 
 @pytest.mark.parametrize("name", ["", "../can0", "a/b", ".hidden", "can 0", "can\x00", "-x"])
 def test_what_is_no_name_is_refused(name: str) -> None:
-    with pytest.raises(PluginError, match="no channel"):
+    with pytest.raises(PluginError, match="not a valid channel"):
         socket_path(name)
 
 
@@ -290,7 +290,7 @@ def test_a_path_too_long_for_a_socket_is_refused() -> None:
 def test_a_folder_others_can_get_into_is_refused(above: Path) -> None:
     folder = above / f"hil-can-{os.getuid()}"
     folder.mkdir(mode=0o755)
-    with pytest.raises(PluginError, match="other users can get into") as raised:
+    with pytest.raises(PluginError, match="other users have access to") as raised:
         Hub("can0")
     assert f"chmod 700 {folder}" in str(raised.value)
 
@@ -306,7 +306,7 @@ def test_a_folder_of_another_user_is_refused(above: Path, monkeypatch: pytest.Mo
 def test_a_link_in_place_of_the_folder_is_refused(above: Path) -> None:
     (above / "elsewhere").mkdir(mode=0o700)
     (above / f"hil-can-{os.getuid()}").symlink_to(above / "elsewhere")
-    with pytest.raises(PluginError, match="is none"):
+    with pytest.raises(PluginError, match="is not a folder"):
         Hub("can0")
 
 
@@ -317,7 +317,7 @@ def test_a_channel_in_a_missing_folder_is_refused(above: Path) -> None:
 
 def test_one_hub_hosts_a_channel_and_the_next_is_told_which(can_channel: str) -> None:  # noqa: F811
     with Hub(can_channel):
-        with pytest.raises(PluginError, match="taken: pid ") as raised:
+        with pytest.raises(PluginError, match="in use: pid ") as raised:
             Hub(can_channel)
         assert str(os.getpid()) in str(raised.value)
         raw_end(can_channel).close()  # still there
@@ -333,7 +333,7 @@ def test_the_socket_of_a_dead_hub_is_replaced(can_channel: str) -> None:  # noqa
 
 def test_what_is_no_socket_is_left_alone(can_channel: str) -> None:  # noqa: F811
     Path(can_channel).write_text("precious")
-    with pytest.raises(PluginError, match="no socket"):
+    with pytest.raises(PluginError, match="is not a socket"):
         Hub(can_channel)
     assert Path(can_channel).read_text() == "precious"
     Path(can_channel).unlink()

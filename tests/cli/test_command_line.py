@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -163,8 +164,8 @@ def test_evaluating_on_the_training_data_is_refused(dwell_run: Path, tmp_path: P
     done = hil("evaluate", model["model"], run, "--json")
     assert done.returncode == 8
     error = json.loads(done.stdout)["error"]
-    assert "among those the model was fitted to" in error["message"]
-    assert "has not seen" in error["hint"]
+    assert "are training data of the model" in error["message"]
+    assert "did not use" in error["hint"]
 
 
 @pytest.mark.thorough
@@ -291,8 +292,8 @@ def test_mistakes_of_the_command_line_are_json_too() -> None:
     [
         ("plan", DWELL, "--picture", "missing/p.svg"),
         ("plan", DWELL, "-o", "missing/plan.json"),
-        ("mock", "embedded", "--truth", "missing/truth.json"),
-        ("mock", "embedded", "--truth", "."),
+        ("mock", "embedded", "--ground-truth", "missing/truth.json"),
+        ("mock", "embedded", "--ground-truth", "."),
     ],
 )
 def test_what_cannot_be_written_is_one_line_and_exit_7(arguments: Any, tmp_path: Path) -> None:
@@ -326,7 +327,7 @@ def test_a_model_or_report_that_cannot_be_written_exits_7(dwell_run: Path, tmp_p
 def test_a_file_is_no_folder_of_runs_but_a_missing_folder_holds_none(tmp_path: Path) -> None:
     refused = hil("runs", "--runs", DWELL)
     assert refused.returncode == 8
-    assert "next: give the folder" in refused.stderr
+    assert "next: name the folder" in refused.stderr
     empty = hil("runs", "--runs", tmp_path / "later")
     assert empty.returncode == 0
     assert "hil run SPEC" in empty.stdout
@@ -336,7 +337,7 @@ def test_a_file_is_no_folder_of_runs_but_a_missing_folder_holds_none(tmp_path: P
 def test_show_verify_tells_changed_and_missing_files(dwell_run: Path, tmp_path: Path) -> None:
     whole = hil("show", dwell_run, "--verify")
     assert whole.returncode == 0, whole.stderr
-    assert "every file is as the run left it" in whole.stdout
+    assert "all files are unchanged since the end of the run" in whole.stdout
     copy = shutil.copytree(dwell_run, tmp_path / "copy")
     (copy / "plan.json").write_text("{}")
     (copy / "station.yaml").unlink()
@@ -351,7 +352,7 @@ def test_show_verify_tells_changed_and_missing_files(dwell_run: Path, tmp_path: 
 
 def test_the_mock_writes_its_truth(tmp_path: Path) -> None:
     truth = tmp_path / "truth.json"
-    done = hil("mock", "embedded", "--truth", truth, "--seed", "3")
+    done = hil("mock", "embedded", "--ground-truth", truth, "--seed", "3")
     assert done.returncode == 0, done.stderr
     assert "friction" in truth.read_text("utf-8")
 
@@ -361,7 +362,7 @@ def test_doctor_asks_the_robots_of_a_station() -> None:
     done = hil("doctor", "--station", "experiments/stations/mock.yaml")
     assert done.returncode == 0, done.stdout
     assert "the file is valid" in done.stdout
-    assert "within hil, nothing to reach" in done.stdout
+    assert "simulated within hil, no connection to check" in done.stdout
 
 
 @pytest.mark.thorough
@@ -412,7 +413,7 @@ def test_recordings_are_found_by_the_number_of_their_run(dwell_run: Path, tmp_pa
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("waiver", "told"), [("disk", "gives no reason"), ("nope=because", "names no check")]
+    ("waiver", "told"), [("disk", "has no reason"), ("nope=because", "is not the name of a check")]
 )
 def test_a_waiver_that_cannot_be_leaves_no_run(tmp_path: Path, waiver: str, told: str) -> None:
     done = hil("run", DWELL, "--runs", tmp_path / "runs", "--waive", waiver)
@@ -477,7 +478,7 @@ def test_import_never_replaces_a_file_and_says_how_to_go_on(tmp_path: Path) -> N
     (tmp_path / "out.mcap").write_text("mine")
     done = importing(tmp_path, "out.mcap")
     assert done.returncode == 7
-    assert "choose another -o" in done.stderr
+    assert "choose a different file for -o" in done.stderr
     assert (tmp_path / "out.mcap").read_text() == "mine"
 
 
@@ -533,7 +534,7 @@ def test_a_file_that_may_not_be_read_is_no_place_to_write_to(
     )
     told = _as_ours(refused(str(closed)))
     assert (type(told), told.message) == (DataError, f"cannot read {closed}: Permission denied")
-    assert told.hint == "see whether you may read it"
+    assert told.hint == "check the permissions of the path"
     assert isinstance(_as_ours(refused(str(tmp_path / "other"))), RecordingError)
 
 
@@ -705,6 +706,9 @@ def test_an_argument_that_may_be_left_out_says_what_then() -> None:
         for parameter in command.params
         if parameter.param_type_name == "argument" and not parameter.required
         if not parameter.help
-        or not ("by default" in parameter.help or (parameter.show_default and parameter.default))
+        or not (
+            re.search("by default|[Dd]efault:", parameter.help)
+            or (parameter.show_default and parameter.default)
+        )
     ]
     assert silent == []

@@ -41,7 +41,7 @@ def test_a_key_is_told_with_all_there_is_to_know() -> None:
         "unit": "s",
         "allowed": "number ≥ 0.01, ≤ 600",
         "default": "0.095",
-        "meaning": "Shortest time at rest before the pose is left.",
+        "meaning": "Minimum time at standstill in each pose.",
         "keys_below": [],
         "example": "dwell_s: 0.095",
         "documented": "docs/reference/spec.md, Experiment, `excitation` with `kind: dwell`",
@@ -73,7 +73,7 @@ def test_examples_are_yaml_of_their_key(file: str) -> None:
 
 def test_what_several_kinds_share_is_told_once() -> None:
     assert [(one["kind"], one["meaning"][:5]) for one in told("interlocks.enabled")] == [
-        ("", "false"),
+        ("", "`fals"),
         ("stale", "Alway"),
     ]
 
@@ -90,8 +90,8 @@ def test_a_key_that_is_none_is_told_in_a_few_words(key: str) -> None:
 def test_a_key_with_an_empty_step_is_refused(key: str) -> None:
     error = invoke(key).exception
     assert isinstance(error, SpecError)
-    assert error.message == f"{key!r} is no key"
-    assert error.hint == "hil explain excitation.dwell_s"
+    assert error.message == f"{key!r} is not a key"
+    assert error.hint == "for example: hil explain excitation.dwell_s"
 
 
 def test_sections_are_those_of_the_page() -> None:

@@ -45,9 +45,9 @@ def test_json_says_what_was_written(model: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "kind", "words"),
     [
-        (["--to", "simulink"], SpecError, "--to is 'simulink'"),
+        (["--to", "simulink"], SpecError, "unknown format --to 'simulink'"),
         (["--to", "urdf", "--prefix", "arm"], SpecError, "has no option --prefix"),
-        (["--prefix", "2nd"], SpecError, "cannot begin the names"),
+        (["--prefix", "2nd"], SpecError, "cannot be the prefix"),
         (["-o", "."], RecordingError, "exists already"),
     ],
 )

@@ -1,4 +1,4 @@
-"""`hil gains` on a run of the mock: a table for people, one document for programs."""
+"""`hil drive-gains` on a run of the mock: a table for people, one document for programs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def told(*arguments: object) -> str:
-    done = CliRunner().invoke(app, ["gains", *map(str, arguments)])
+    done = CliRunner().invoke(app, ["drive-gains", *map(str, arguments)])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         raise done.exception
     return done.stdout
@@ -53,7 +53,7 @@ def test_gains_of_the_mock_are_found(run: Path) -> None:
 def test_people_are_told_gains_reasons_and_lines_to_copy(run: Path) -> None:
     text = told(run)
     assert "loads of 0, 3 kg at 8 poses" in text
-    assert "shoulder_pan_joint: the loads add no torque about its axis" in text
+    assert "shoulder_pan_joint: the payloads cause no torque about the axis of this joint" in text
     assert "\ndrive_gains_nm_a: [10.150, " in text
 
 
@@ -62,5 +62,5 @@ def test_a_run_with_one_load_is_refused(run: Path, tmp_path: Path) -> None:
     from tests.support.report_runs import dwell_plan, write_run
 
     other = write_run(tmp_path, dwell_plan(poses=6))
-    with pytest.raises(FitError, match="at least two loads"):
+    with pytest.raises(FitError, match="at least two payloads"):
         told(other.path)

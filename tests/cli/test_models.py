@@ -49,7 +49,7 @@ def test_a_number_and_a_name_of_a_run_are_its_model(runs: Path) -> None:
     model = run_of(runs, 1) / "fit" / "a"
     assert find_model("1", runs) == model
     names = {str(path) for path in run_of(runs, 3).glob("fit/*")}
-    with pytest.raises(DataError, match="holds 2 models") as told:
+    with pytest.raises(DataError, match="contains 2 models") as told:
         find_model("3", runs)
     assert all(name in told.value.message for name in names)
 
@@ -58,7 +58,7 @@ def test_what_holds_no_model_says_what_to_give(runs: Path) -> None:
     cases = {
         "2": ("is a run without a model", "hil fit"),
         "9": ("no model folder 9", "hil runs"),
-        str(run_of(runs, 1) / "fit/a/model.json"): ("is a file", "give the folder it lies in: "),
+        str(run_of(runs, 1) / "fit/a/model.json"): ("is a file", "pass the folder of this file: "),
         str(runs / "nowhere"): ("does not exist", "name a folder such as"),
     }
     for given, (message, hint) in cases.items():
@@ -71,7 +71,7 @@ def test_what_holds_no_model_says_what_to_give(runs: Path) -> None:
 @pytest.mark.parametrize(
     ("to", "out", "words"),
     [
-        ("c", "arm.c", "--to c makes a folder"),
+        ("c", "arm.c", "--to c writes a folder"),
         ("urdf", "y.json", "for example: --out y.urdf, or with --to json"),
         ("torch", "arm.onnx", "--to onnx"),
         ("onxx", "arm.onnx", "did you mean 'onnx'?"),
@@ -223,7 +223,7 @@ def test_the_first_champion_needs_no_recording_and_is_exported_by_name(
     assert "ur5: v1 is champion: there is no other champion" in done.stdout
     again = invoke("models", "promote", "ur5", "v1").exception
     assert isinstance(again, SpecError)
-    assert "nothing to judge it on" in again.message
+    assert "a recording is required" in again.message
 
     assert invoke("export", "ur5", "--to", "json", "-o", "m.json").exit_code == 0
     assert Path("m.json").is_file()

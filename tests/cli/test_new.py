@@ -19,6 +19,7 @@ from hil.spec import load_spec, load_station
 from hil.spec.documentation import COLUMN, WIDTH, commented, schema_files
 from hil.spec.draft import DRAFT_KINDS
 from hil.spec.experiment import ExperimentSpec
+from hil.testing import PLUGIN_KINDS
 from tests.support.paths import FILES
 
 URDF = FILES / "own_arm.urdf"
@@ -128,7 +129,7 @@ def test_a_run_goes_on_and_is_fitted_only_with_the_arm_it_was_recorded_with() ->
     assert len(hil.dataset(run))
     arm.write_text(text.replace("rate_hz: 250", "rate_hz: 251"))
     _parsed.cache_clear()
-    told = f"{arm.resolve()} describes another arm than when {run} was made"
+    told = f"{arm.resolve()} has changed since {run} was made"
     with pytest.raises(DataError, match=re.escape(told)):
         hil.resume(run)
     with pytest.raises(DataError, match=re.escape(told)):
@@ -146,7 +147,7 @@ def test_a_spec_whose_robot_is_at_a_station_beside_it_says_which(here: Path) -> 
     Path("broken-station.yaml").write_text("a: [1")
     error = invoke("validate", str(spec)).exception
     assert isinstance(error, SpecError)
-    assert error.hint == f"it is at a station beside the spec: --station {station}"
+    assert error.hint == f"use the station beside the spec: --station {station}"
     assert invoke("validate", str(spec), "--station", str(station)).exit_code == 0
 
     missed = invoke("validate", str(spec), "--station", "other-station.yaml").exception
@@ -159,7 +160,7 @@ def test_an_own_arm_is_not_called_as_a_built_in_one(robot: str) -> None:
     Path(f"{robot}.urdf").write_text(URDF.read_text())
     words = ("own-urdf", "--urdf", f"{robot}.urdf")
     error = refused(*words)
-    assert f"'{robot}' is a built-in robot" in error.message
+    assert f"'{robot}' is the name of a built-in robot" in error.message
     assert [path.name for path in Path().iterdir()] == [f"{robot}.urdf"]
     option = error.hint.partition(": ")[2].split()
     assert told(*words, *option)["files"][0] == f"my-{robot}.yaml"
@@ -180,7 +181,7 @@ def test_a_built_in_robot_in_place_of_that_of_a_station_beside_is_told(
     )
     assert invoke(verb, str(spec)).stderr.splitlines()[0] == (
         "warning: using ur5 of the built-in mock bench, not the one in mine-station.yaml beside "
-        "the spec; to use that: --station mine-station.yaml"
+        "the spec; to use the latter: --station mine-station.yaml"
     )
     assert "warning" not in invoke(verb, str(spec), "--station", "mine-station.yaml").stderr
 
@@ -204,14 +205,15 @@ def test_an_arm_that_the_mock_cannot_be_is_not_sent_to_commands_that_refuse_it()
     Path("seven.urdf").write_text(URDF.read_text().replace(fixed, turns))
     made = json.loads(invoke("new", "own-urdf", "--urdf", "seven.urdf", "--json").stdout)
     assert (
-        "cannot be this arm of 7: `hil validate`, `plan` and `run` work once" in made["notes"][-1]
+        "but this arm has 7: `hil validate`, `plan` and `run` require a different driver"
+        in made["notes"][-1]
     )
     assert made["next"] == ["hil plugins"]
     for command in made["next"]:
         assert invoke(*command.split()[1:]).exit_code == 0
     error = invoke("validate", "seven.yaml", "--station", "seven-station.yaml").exception
     assert isinstance(error, SpecError)
-    assert "name another driver in the station" in error.hint
+    assert "set another driver in the station" in error.hint
 
 
 @pytest.mark.thorough
@@ -226,7 +228,7 @@ def test_files_that_are_there_are_left_alone() -> None:
     Path("mine-campaign.yaml").write_text("precious")
     error = refused("re-identify", "mine.yaml")
 
-    assert "mine-campaign.yaml: there is such a file already; nothing was written" in error.message
+    assert "mine-campaign.yaml: exists already; nothing was written" in error.message
     assert [path.name for path in Path().iterdir()] == ["mine-campaign.yaml"]
 
 
@@ -288,14 +290,14 @@ def test_any_urdf_can_be_named(urdf: str) -> None:
     assert load_spec(spec).description == f"First Fourier trajectories of odd, from {urdf}"
     model = load_station(station).robots["odd"].model
     assert Path(model).name == Path(arm).name
-    assert load_arm(model).sources["all"] == f"{urdf}, but for lines marked GUESS"
+    assert load_arm(model).sources["all"] == f"{urdf}, except the lines marked GUESS"
 
 
 def test_a_urdf_with_an_impossible_inertia_is_refused_with_its_link() -> None:
     text = URDF.read_text("utf-8").replace('izz="0.03"/>', 'izz="0.09"/>', 1)
     Path("odd.urdf").write_text(text, "utf-8")
     error = refused("own-urdf", "--urdf", "odd.urdf")
-    assert error.message.startswith("odd.urdf: describes no arm: forearm")
+    assert error.message.startswith("odd.urdf: is not a valid arm description: forearm")
     assert "sum of the others" in error.message
 
 
@@ -308,7 +310,7 @@ def test_nothing_is_written_that_is_not_valid(monkeypatch: pytest.MonkeyPatch) -
 def test_a_station_of_a_robot_that_is_no_arm_is_valid_and_says_which_it_took() -> None:
     (note,) = told("station", "--robot", "left")["notes"]
     assert load_station("bench.yaml" if Path("bench.yaml").exists() else "station.yaml")
-    assert "no built-in arm 'left'" in note
+    assert "'left' is not a built-in arm" in note
 
 
 def test_commands_to_go_on_with_can_be_pasted() -> None:
@@ -319,9 +321,9 @@ def test_commands_to_go_on_with_can_be_pasted() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("dwel",), "hil new makes no 'dwel'"),
-        (("own-urdf",), "needs --urdf"),
-        (("dwell", "--urdf", str(URDF)), "nothing else takes it"),
+        (("dwel",), "hil new: unknown kind 'dwel'"),
+        (("own-urdf",), "requires --urdf"),
+        (("dwell", "--urdf", str(URDF)), "other kinds do not accept --urdf"),
         (("dwell", "--name", "a: b"), "--name 'a: b'"),
         (("dwell", "--robot", "x\ny: 1"), "--robot"),
         (("own-urdf", "--urdf", "missing.urdf"), "there is no file missing.urdf in "),
@@ -335,7 +337,7 @@ def test_what_cannot_be_begun_is_refused(words: tuple[str, ...], message: str) -
 def test_kinds_are_listed() -> None:
     assert [
         one["kind"] for one in json.loads(invoke("new", "--list", "--json").stdout)["kinds"]
-    ] == [*DRAFT_KINDS, "driver"]
+    ] == [*DRAFT_KINDS, "map", *PLUGIN_KINDS]
 
 
 def test_a_comment_of_a_key_that_is_none_fails() -> None:

@@ -74,13 +74,13 @@ def test_texts_stay_texts_in_the_spec_of_a_run(spec: Path, value: str) -> None:
 
 
 @pytest.mark.thorough
-def test_plan_and_excite_take_them_too(spec: Path) -> None:
+def test_plan_and_optimise_take_them_too(spec: Path) -> None:
     one, two = (
         json.loads(invoke("plan", "spec.yaml", "--json", *more).stdout)["hash"]
         for more in ((), ("--set", "excitation.seed=9"))
     )
     assert one != two
-    page = invoke("excite", "spec.yaml", "--set", "excitation.trajectories=2", "--json")
+    page = invoke("optimise", "spec.yaml", "--set", "excitation.trajectories=2", "--json")
     assert len(json.loads(page.stdout)["trajectories"]) == 2
 
 
@@ -99,9 +99,9 @@ def test_what_is_wrong_is_told_at_the_option(spec: Path) -> None:
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ("excitation.seed", "--set 1: 'excitation.seed' is no PATH=VALUE"),
-        ("fit.1.estimator=x", "a list with entries 0 to 0, not 1"),
-        ("robot.arm=x", "arm would be below ur5"),
+        ("excitation.seed", "--set 1: expected PATH=VALUE, got 'excitation.seed'"),
+        ("fit.1.estimator=x", "the list has entries 0 to 0, not 1"),
+        ("robot.arm=x", "the value ur5 cannot contain arm"),
         ("excitaton.seed=1", "--set 1: excitaton: unknown key; did you mean 'excitation'?"),
     ],
 )
@@ -112,7 +112,7 @@ def test_a_place_that_is_none_is_refused(spec: Path, given: str, told: str) -> N
 def test_a_path_is_given_once(spec: Path) -> None:
     twice = ("--set", "excitation.seed=1", "--set", "excitation.seed=2")
     told = refused("plan", "spec.yaml", *twice)
-    assert told == "--set 2: excitation.seed: has been given before, by --set 1"
+    assert told == "--set 2: excitation.seed: is already set by --set 1"
 
 
 @pytest.mark.parametrize(
@@ -133,20 +133,20 @@ def test_no_value_undoes_another_without_a_word(
 
 def test_an_index_is_the_same_with_zeros_before_it(spec: Path) -> None:
     told = refused("validate", "spec.yaml", "--set", "fit.0000000001.estimator=x")
-    assert "a list with entries 0 to 0, not 1" in told
+    assert "the list has entries 0 to 0, not 1" in told
 
 
 @pytest.mark.parametrize("given", ["fit=", "fit=null"])
 def test_a_value_that_is_none_says_what_can_be_done_here(spec: Path, given: str) -> None:
     told = refused("validate", "spec.yaml", "--set", given)
-    assert told.startswith("--set 1: fit: has no value: write one behind the =")
+    assert told.startswith("--set 1: fit: has no value: write a value after the =")
     assert "remove" not in told
 
 
 def test_files_that_name_specs_take_none(spec: Path) -> None:
     Path("series.yaml").write_text("hil_series: 1\nname: s\nseries: [{spec: spec.yaml}]\n")
     for verb in ("validate", "plan", "run"):
-        assert "this is a series" in refused(verb, "series.yaml", "--set", "name=x")
+        assert "this file is a series" in refused(verb, "series.yaml", "--set", "name=x")
 
 
 def test_scripts_have_them_too(spec: Path) -> None:
@@ -161,6 +161,6 @@ def test_what_an_option_makes_wrong_elsewhere_is_told_with_the_option(spec: Path
     spec.write_text(SPEC + "validate: {hold_out: {trajectories: 2}}\n")
     told = refused("validate", "spec.yaml", "--set", "excitation.trajectories=2").splitlines()
     assert told == [
-        "spec.yaml:7:37: validate.hold_out.trajectories: holds out 2 of 2 trajectories and leaves "
-        "none to fit on (with --set excitation.trajectories=2)"
+        "spec.yaml:7:37: validate.hold_out.trajectories: holds out 2 of 2 trajectories, so that "
+        "none is left to fit (with --set excitation.trajectories=2)"
     ]

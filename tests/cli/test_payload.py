@@ -43,9 +43,9 @@ def test_it_tells_the_load_or_that_none_shows(load: Payload | None, tmp_path: Pa
     folder = exact().save(tmp_path / "model")
     command = ["payload", str(folder), str(recording)]
     lines = CliRunner().invoke(app, command, catch_exceptions=False).stdout.splitlines()
-    assert lines[0].startswith("load in 600 samples")
+    assert lines[0].startswith("payload from 600 samples")
     if load is None:
-        assert lines[-1].startswith("no load shows: 0.0")
+        assert lines[-1].startswith("no payload detected: 0.0")
     else:
         told = re.findall(r"(?:mass_kg: |--payload )([0-9.]+)", "\n".join(lines[-2:]))
         assert np.array(told, dtype=float) == pytest.approx([load.mass] * 2, rel=0.05)

@@ -83,7 +83,9 @@ def test_of_a_run_that_was_gone_on_with_it_is_told_of_what_the_share_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     terminal = on_terminal(monkeypatch, step_event(10, resumed=1))
-    assert terminal.shown == [" 25 % of what was left  step 11/40 dwell, pose 17  1 min 00 s left"]
+    assert terminal.shown == [
+        " 25 % of the remaining plan  step 11/40 dwell, pose 17  1 min 00 s left"
+    ]
 
 
 def test_the_line_says_how_far_where_and_how_long(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,10 +150,10 @@ def test_going_on_is_told(capsys: pytest.CaptureFixture[str]) -> None:
 def test_who_asks_for_a_pause_is_heard_before_the_checkpoint(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    asked = step_event(10, pausing="SIGINT: Enter goes on, Ctrl-C again stops")
+    asked = step_event(10, pausing="SIGINT: press Enter to resume, or Ctrl-C again to stop")
     lines = piped(capsys, step_event(9), asked, asked, state("paused", "SIGINT"), step_event(10))
     assert lines[1:] == [
-        "pausing at the next checkpoint: SIGINT: Enter goes on, Ctrl-C again stops",
+        "pausing at the next checkpoint: SIGINT: press Enter to resume, or Ctrl-C again to stop",
         "paused: SIGINT",
     ]
 
@@ -209,7 +211,7 @@ def test_the_line_is_out_of_the_way_before_a_question(monkeypatch: pytest.Monkey
 
 def test_a_pipe_is_told_what_is_asked(capsys: pytest.CaptureFixture[str]) -> None:
     asked = {"kind": "prompt", "text": "Mount the 3 kg disc", "answered_by": ""}
-    assert piped(capsys, asked) == ["asking: Mount the 3 kg disc"]
+    assert piped(capsys, asked) == ["prompt: Mount the 3 kg disc"]
 
 
 def test_a_no_is_told_with_its_name(capsys: pytest.CaptureFixture[str]) -> None:
@@ -223,7 +225,7 @@ def test_a_pause_during_a_question_comes_after_the_answer(
     asked = {"kind": "prompt", "text": "Mount it", "answered_by": ""}
     wished = step_event(10) | {"pausing": "asked by anna"}
     told = piped(capsys, asked, wished)
-    assert told[1] == "pausing once the question is answered: asked by anna"
+    assert told[1] == "pausing after the answer to this prompt: asked by anna"
     # On a terminal whoever asks says so, and asks again.
     assert "pausing" not in on_terminal(monkeypatch, asked, wished).getvalue()
 
@@ -239,7 +241,7 @@ def test_the_way_back_of_a_resumed_run_has_no_step_number(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     (line,) = on_terminal(monkeypatch, step(-1, doing="move", pose=-1)).shown
-    assert line == "  0 %  on the way back"
+    assert line == "  0 %  returning to the plan"
 
 
 # How far an optimisation is: one line on a terminal, nothing but notes in a pipe

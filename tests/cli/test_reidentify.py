@@ -35,8 +35,8 @@ def test_it_is_done_once_and_gone_on_with_where_it_was_cut_off(
     for stage in ("register", "summary"):
         (folder / "stages" / f"{stage}.json").unlink()
     again = CliRunner().invoke(app, ["reidentify", "weekly.yaml"])
-    assert f"going on with {folder}" in again.output
-    assert "ur5: v1 is champion: the first one: there are no criteria" in again.stdout
+    assert f"continuing {folder}" in again.output
+    assert "ur5: v1 is champion: first campaign: there are no criteria" in again.stdout
     assert f"campaign: {first['runs']['campaign']}" in again.stdout
     assert len(list(tmp_path.glob("runs/*/*/*/start.json"))) == 1
     assert len(list(folder.parent.glob("2*"))) == 1

@@ -104,7 +104,7 @@ def test_what_is_due_is_done_once(monkeypatch: pytest.MonkeyPatch) -> None:
     ]  # fmt: skip
     _, told, _ = hil_schedule("show", "nightly.yaml")
     assert told.count(done[0]) == 2
-    assert "nobody runs it: hil schedule run nightly.yaml" in told
+    assert "not running: hil schedule run nightly.yaml" in told
     _, told, _ = hil_schedule("show", "nightly.yaml", "--json")
     document = json.loads(told)
     assert (document["schedule"], document["run_by"], document["open"]) == ("nightly", None, None)
@@ -139,7 +139,7 @@ def test_a_plan_says_what_would_happen_and_does_nothing(folder: Path) -> None:
     assert not Path("schedules").exists()
     _, told, _ = hil_schedule("plan", "nightly.yaml", "--weeks", "2")
     assert "blackout 02:00 to 05:00 (backup)" in told
-    assert told.splitlines()[-1].startswith("of motion: probe ")
+    assert told.splitlines()[-1].startswith("duration of motion: probe ")
 
 
 def test_a_plan_until_a_day_goes_on_to_its_end() -> None:
@@ -171,7 +171,7 @@ def test_a_plan_says_what_would_be_done_about_what_was_missed() -> None:
         ledger.add("begun", due, occasion="20261102T020000Z-probe", until=due.isoformat())
     _, told, _ = hil_schedule("plan", "nightly.yaml", "--weeks", "0.2", "--json")
     first, second, *_ = json.loads(told)["expected"]
-    assert (first["what"], first["why"]) == ("missed", "begun, and not gone on with within 1d")
+    assert (first["what"], first["why"]) == ("missed", "begun, but not resumed within 1d")
     assert second["what"] == "missed"
     assert second["count"] > 3
 
@@ -180,12 +180,12 @@ def test_a_plan_says_what_would_be_done_about_what_was_missed() -> None:
 @pytest.mark.parametrize(
     ("words", "keys", "told"),
     [
-        (("plan", "--until", "2020-01-01"), "", "--until 2020-01-01 is past"),
-        (("plan", "--until", "soon"), "", "--until 'soon' is no date"),
-        (("plan",), 'blackout: [{begin: "00:01", end: "00:00"}]\n', "never so much time between"),
+        (("plan", "--until", "2020-01-01"), "", "--until 2020-01-01 is in the past"),
+        (("plan", "--until", "soon"), "", "--until 'soon' is not a date"),
+        (("plan",), 'blackout: [{begin: "00:01", end: "00:00"}]\n', "longer than the time between"),
         (("run",), "notify: tee\n", "notify"),
         (("run",), "missed_within: soon\n", "missed_within"),
-        (("show",), "timezone: Mars/Base\n", "no time zone"),
+        (("show",), "timezone: Mars/Base\n", "unknown time zone"),
         (("systemd",), "wait_for_robot: -1s\n", "wait_for_robot"),
     ],
 )
@@ -206,7 +206,7 @@ def test_the_state_of_another_schedule_is_refused() -> None:
         ledger.start("weekly", at("01 00:00"))
     for verb in ("plan", "show"):
         _, _, error = hil_schedule(verb, "nightly.yaml", "--state", "there")
-        assert "is the state of the schedule 'weekly'" in str(error)
+        assert "is the state folder of the schedule 'weekly'" in str(error)
 
 
 def test_a_schedule_that_runs_says_so_and_is_not_run_twice() -> None:
@@ -224,7 +224,7 @@ def test_times_are_those_of_the_schedules_zone() -> None:
         ledger.start("nightly", datetime.now(UTC))
         before = datetime.now(zone)
         _, told, _ = hil_schedule("show", "nightly.yaml")
-    assert told.startswith("when (Asia/Kolkata)  event")
+    assert told.startswith("time (Asia/Kolkata)  event")
     since = re.search(r"since (\d\d:\d\d)\)", told.splitlines()[-1])
     assert since is not None
     assert since[1] in {f"{before - late:%H:%M}" for late in (timedelta(), timedelta(minutes=1))}
@@ -235,8 +235,8 @@ def test_times_are_those_of_the_schedules_zone() -> None:
 @pytest.mark.parametrize(
     ("cron", "mistake"),
     [
-        ("0 3 31 feb *", "never due in the next eight years"),
-        ("0 3 31 apr,jun *", "never due in the next eight years"),
+        ("0 3 31 feb *", "not due within the next eight years"),
+        ("0 3 31 apr,jun *", "not due within the next eight years"),
         ("0 3 29 feb *", ""),
         ("0 3 31 * *", ""),
     ],
@@ -286,7 +286,7 @@ def test_a_person_holds_it_and_has_to_say_why() -> None:
         assert code == 0
         assert "tool change" in told
         _, told, _ = hil_schedule("release", "nightly.yaml", "--reason", "done")
-        assert "has waited: the process that runs the schedule begins it within a minute" in told
+        assert "is overdue: the process of the schedule begins it within a minute" in told
 
 
 def test_what_is_next_is_not_what_is_settled() -> None:
@@ -302,7 +302,7 @@ def test_what_is_next_is_not_what_is_settled() -> None:
         ledger.add("unnotified", now, until=(now + timedelta(days=3650)).isoformat(), why="")
         moment, told = shown()
     assert moment > now + timedelta(days=3650)
-    assert "everything is settled until" in told
+    assert "but all occasions until" in told
     assert "next: " not in told
 
 

@@ -98,7 +98,7 @@ def test_a_study_that_fails_is_an_exit_code_and_one_error(run: Path) -> None:
 def test_a_trial_that_fails_leaves_no_mark_on_the_run(run: Path) -> None:
     CliRunner().invoke(app, ["study", str(run)])
     CliRunner().invoke(app, ["study", str(run), "--set", "ending=fails"])
-    assert "could not be made" not in (run / "report.html").read_text("utf-8")
+    assert "The study counted failed" not in (run / "report.html").read_text("utf-8")
     assert problem_files(run) == []
 
 

@@ -82,7 +82,7 @@ def test_a_pipe_gets_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_an_estimator_that_trains_nothing_refuses_checkpoints(tmp_path: Path) -> None:
-    with pytest.raises(SpecError, match="rigid-wls keeps no checkpoints"):
+    with pytest.raises(SpecError, match="rigid-wls does not write checkpoints"):
         hil.fit(tmp_path, estimator="rigid-wls", checkpoints=tmp_path)
 
 
@@ -132,7 +132,7 @@ def test_ctrl_c_says_how_to_go_on_and_the_fit_ends_with_the_same_model(
         ["fit", *map(str, sources), "-e", "lagrangian", "--checkpoints", str(kept), *settings],
     )
     assert found.exit_code == 130
-    assert f"the training is kept in {kept}; the same command goes on" in found.stderr
+    assert f"the training is stored in {kept}; the same command resumes it" in found.stderr
     epochs: list[int] = []
     again = fitted(sources, tmp_path, checkpoints=kept, watch=lambda t: epochs.append(t.epoch))
     assert epochs == [3, 4, 5]

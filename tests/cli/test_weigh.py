@@ -109,10 +109,10 @@ def test_gains_that_are_known_well_narrow_the_mass(weighed: Weighed) -> None:
 @pytest.mark.thorough
 def test_people_are_told_what_shows_and_what_does_not(weighed: Weighed) -> None:
     text = told(weighed.static, weighed.tool)
-    assert "load weighed at rest, at 6 poses" in text
+    assert "payload from gravity at 6 poses" in text
     assert "Ixx" not in text
-    assert "does not show a load's inertia" in text
-    assert "drive gains known to 5 % each" in text
+    assert "do not determine the inertia of a payload" in text
+    assert "an uncertainty of 5 % of each drive gain" in text
     assert "--payload" not in text  # nothing is well determined
     tared = told(weighed.static, weighed.tool, "--bare", weighed.bare)
     assert "for a spec:  loads: [{mass_kg: 2." in tared
@@ -123,18 +123,18 @@ def test_people_are_told_what_shows_and_what_does_not(weighed: Weighed) -> None:
 @pytest.mark.thorough
 def test_a_bare_flange_shows_no_load(weighed: Weighed) -> None:
     text = told(weighed.static, weighed.bare)
-    assert "no load shows" in text
-    assert "does not show" in text
+    assert "no payload detected" in text
+    assert "not observable" in text
     assert "--payload" not in text
 
 
 @pytest.mark.thorough
 def test_what_cannot_be_a_tare_is_named(weighed: Weighed) -> None:
-    with pytest.raises(DataError, match="is the bare flange as well"):
+    with pytest.raises(DataError, match="is passed both with payload and as the bare flange"):
         told(weighed.static, weighed.tool, "--bare", weighed.tool)
     with pytest.raises(DataError, match=r"declares 1\.5 kg to the controller"):
         told(weighed.static, weighed.tool, "--bare", weighed.leaning)
-    with pytest.raises(DataError, match=f"{weighed.motion}.*6 of 6 poses were not held"):
+    with pytest.raises(DataError, match=f"{weighed.motion}.*6 of 6 poses were not recorded"):
         told(weighed.static, weighed.tool, "--bare", weighed.motion)
 
 
@@ -142,7 +142,7 @@ def test_what_cannot_be_a_tare_is_named(weighed: Weighed) -> None:
 def test_friction_is_checked_whatever_was_recorded(weighed: Weighed) -> None:
     with pytest.raises(SpecError, match="friction is 'banana'"):
         told(weighed.static, weighed.tool, "--friction", "banana")
-    with pytest.raises(SpecError, match="friction scale goes with motion"):
+    with pytest.raises(SpecError, match="friction scale is for motion"):
         told(weighed.static, weighed.tool, "--friction", "scale")
 
 
@@ -157,11 +157,11 @@ def test_another_individual_is_said_first_and_gives_nothing_to_paste(weighed: We
     with patch("hil.evaluation.validation.serial_of", lambda source: "another"):
         text = told(weighed.static, weighed.tool, "--bare", weighed.bare)
     first, *others = text.splitlines()
-    assert first.startswith("NOT TO BE RELIED ON: recorded on another robot (serial another)")
+    assert first.startswith("NOT RELIABLE: recorded on another robot (serial another)")
     assert not any("--payload" in line for line in others)
 
 
 @pytest.mark.thorough
 def test_a_tare_does_not_go_with_motion(weighed: Weighed) -> None:
-    with pytest.raises(SpecError, match="this is motion"):
+    with pytest.raises(SpecError, match="this recording contains motion"):
         told(weighed.rigid, weighed.motion, "--bare", weighed.bare)

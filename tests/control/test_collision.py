@@ -202,7 +202,7 @@ def test_settings_that_cannot_be_are_refused(model, thresholds, calibration) -> 
         CollisionThresholds.of(model, quantile=0.0)
     with pytest.raises(SpecError, match="false_alarms"):
         CollisionThresholds.calibrated(model, calibration, false_alarms=1.0)
-    with pytest.raises(SpecError, match="are of"):
+    with pytest.raises(SpecError, match="are for the joints"):
         CollisionDetector(model, thresholds=replace(thresholds, joint_names=("a",) * 6))
     with pytest.raises(DataError, match="joints"):
         CollisionThresholds.calibrated(model, replace(calibration, joint_names=tuple("abcdef")))

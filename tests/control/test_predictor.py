@@ -145,7 +145,7 @@ def test_lists_and_other_precisions_will_do(how, model) -> None:
 def test_a_load_that_is_none_is_refused(model) -> None:
     load = Payload(mass=1.0)
     object.__setattr__(load, "mass", float("nan"))
-    with pytest.raises(DataError, match="is no load"):
+    with pytest.raises(DataError, match="is not a payload"):
         Predictor(model, load)
 
 
@@ -208,13 +208,17 @@ def test_a_library_that_cannot_be_loaded_is_told(model, monkeypatch) -> None:
         return folder / "hil.so"
 
     monkeypatch.setattr(predictor, "compile_program", compile_program)
-    with pytest.raises(PluginError, match="cannot be loaded"):
+    with pytest.raises(PluginError, match="cannot load the program compiled by"):
         Predictor(model)
 
 
 @pytest.mark.parametrize(
     ("name", "match"),
-    [("no-such-cc", "names no program"), ("false", "does not compile"), ("true", "not compile")],
+    [
+        ("no-such-cc", "is not an executable program"),
+        ("false", "does not compile"),
+        ("true", "not compile"),
+    ],
 )
 def test_a_compiler_that_is_named_has_to_work(name, match, model, monkeypatch) -> None:
     monkeypatch.setenv("CC", name)

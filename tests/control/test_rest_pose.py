@@ -172,7 +172,7 @@ def test_missing_torque_limits_are_refused_by_name() -> None:
 
 def test_no_clear_pose_is_an_error_that_says_how_far_off() -> None:
     shut_in = Box((0.0, 0.0, 0.5), (3.0, 3.0, 1.0), "cage")
-    with pytest.raises(PlanError, match=r"50 mm clear; the roomiest .* cage"):
+    with pytest.raises(PlanError, match=r"clearance of 50 mm; the largest .* cage"):
         least_loaded(ur5(Environment(boxes=(shut_in,)), clearance_m=0.05))
 
 

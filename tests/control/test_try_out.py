@@ -95,7 +95,7 @@ def trial():
 
 
 def test_a_real_robot_is_refused_before_it_is_opened(station) -> None:
-    with pytest.raises(SpecError, match="does not declare itself a simulated arm"):
+    with pytest.raises(SpecError, match="does not declare a simulated arm"):
         require_simulated("real", StationRobot(driver="ur", model="ur5"))
 
 
@@ -238,7 +238,9 @@ def test_a_braked_run_without_the_model_does_not_speak_against_it(trial) -> None
     other = replace(made, tracked=(braked, *made.tracked[1:]))
     assert [criterion.met for criterion in judged(other)][:3] == [True] * 3
     assert unaided(other) == controllers.NOMINAL
-    assert any("Without the model, no model, the arm was braked" in t for t in found(other).summary)
+    assert any(
+        "Without the model (no model), the arm was braked" in t for t in found(other).summary
+    )
 
 
 @pytest.mark.thorough
@@ -263,11 +265,11 @@ def test_the_hand_moves_one_joint_at_a_time_then_all() -> None:
 def test_the_command_says_who_cannot_be_tried(station) -> None:
     done = CliRunner().invoke(
         app,
-        ["try-out", str(model_folder()), "-o", str(station.parent / "out"), "--station",
+        ["simulate", str(model_folder()), "-o", str(station.parent / "out"), "--station",
          str(station), "--robot", "real"],
     )  # fmt: skip
     assert isinstance(done.exception, SpecError)
-    assert "torque is commanded to simulated arms alone" in str(done.exception)
+    assert "torque is commanded to simulated arms only" in str(done.exception)
 
 
 # Runs of a trial are fair to what the model is compared with, and safe for whoever leads
@@ -286,11 +288,11 @@ class RealArm:
 def test_methods_of_the_right_names_make_no_simulated_arm(said, monkeypatch) -> None:
     driver = type("Driver", (RealArm,), {} if said is None else {"simulated": said})
     monkeypatch.setattr(plugins, "load", lambda group, name: driver)
-    with pytest.raises(SpecError, match="does not declare itself a simulated arm"):
+    with pytest.raises(SpecError, match="does not declare a simulated arm"):
         require_simulated("real", StationRobot(driver="ur", model="ur5"))
     robot = driver()
     robot.identity = SimpleNamespace(model="ur5")
-    with pytest.raises(SpecError, match="no simulated arm"):
+    with pytest.raises(SpecError, match="is not a simulated arm"):
         Arm(robot)
 
 
@@ -343,7 +345,7 @@ def test_an_arm_that_strays_from_the_hand_is_braked() -> None:
     with bench().arm(way().start) as arm:
         soft = Spring(np.full(6, 150.0), np.full(6, 20.0))
         run = lead(arm, "runaway", runaway, way(), soft)
-    assert run.stopped.startswith("the arm strayed from the hand")
+    assert run.stopped.startswith("the arm deviated from the hand")
     assert 0.55 < np.abs(run.q - way().start).max() < 0.7
     assert np.isnan(run.rms).all()
 
@@ -386,7 +388,7 @@ def test_a_trial_of_a_seed_is_no_experiment_of_that_seed() -> None:
 
 def test_what_a_static_model_is_not_worth_is_said() -> None:
     static = SimpleNamespace(series_kinds=(("dwell",),), estimator="static-wls")
-    assert "all that it gives ahead is gravity" in next(try_out._about(static, "a", "a"))
+    assert "torque is gravity only" in next(try_out._about(static, "a", "a"))
     assert not list(try_out._about(model(), "a", "a"))
 
 
@@ -403,7 +405,7 @@ def test_joints_that_are_led_less_far_are_named() -> None:
 
 @pytest.mark.proof
 def test_a_hand_needs_at_most_half_of_the_effort(monkeypatch) -> None:
-    """In three quarters of the time; as `hil try-out` has it in test_trial_proof.py."""
+    """In three quarters of the time; as `hil simulate` has it in test_trial_proof.py."""
     monkeypatch.setattr(try_out, "ALONE_S", 0.0)
     slow = Leading(way().start, np.full(6, np.radians(20.0)), 3.0)
     hand = spring_for(model().robot_, slow.start[None]).firmer(HAND_FIRMNESS)
@@ -417,7 +419,7 @@ def test_a_hand_needs_at_most_half_of_the_effort(monkeypatch) -> None:
     assert np.all(relief(made, try_out.FRICTION, try_out.NOTHING) <= HALF)
 
 
-# `hil try-out` on the command line: what it refuses, what it prints, how it ends
+# `hil simulate` on the command line: what it refuses, what it prints, how it ends
 
 
 @pytest.fixture
@@ -438,8 +440,8 @@ def written_trial():
 def asked(written_trial, monkeypatch):
     """The command line, with a written_trial that is over."""
     ended = [written_trial]
-    monkeypatch.setattr("hil.api.try_out", lambda *given, **options: ended[0])
-    given = ["try-out", str(model_folder()), "-o", "out"]
+    monkeypatch.setattr("hil.api.simulate", lambda *given, **options: ended[0])
+    given = ["simulate", str(model_folder()), "-o", "out"]
     return ended, lambda *more: CliRunner().invoke(app, [*given, *more])
 
 
@@ -474,7 +476,7 @@ def test_an_arm_that_does_not_rest_ends_with_the_code_of_a_bad_result(asked) -> 
     done = ask("--json")
     assert isinstance(done.exception, Rejected)
     assert done.exception.exit_code == 10
-    assert "take less of the friction" in done.exception.hint
+    assert "reduce --friction-share" in done.exception.hint
     assert json.loads(done.stdout)["ok"] is False
 
 
@@ -499,7 +501,7 @@ def test_a_hand_that_is_not_relieved_enough_is_a_bad_result(asked) -> None:
     ],
 )
 def test_nothing_is_made_before_all_is_checked(place, tmp_path, more) -> None:
-    given = ["try-out", str(model_folder()), "-o", str(tmp_path / "new")]
+    given = ["simulate", str(model_folder()), "-o", str(tmp_path / "new")]
     done = CliRunner().invoke(app, [*given, "--station", str(place / "station.yaml"), *more])
     assert isinstance(done.exception, HilError | SystemExit)
     assert done.exit_code
@@ -508,12 +510,12 @@ def test_nothing_is_made_before_all_is_checked(place, tmp_path, more) -> None:
 
 def test_a_seed_beyond_those_there_are_is_refused() -> None:
     with pytest.raises(SpecError, match="the seed is 99999999999999, but must be 0 to"):
-        api.try_out(model_folder(), "never-made", seed=99999999999999)
+        api.simulate(model_folder(), "never-made", seed=99999999999999)
 
 
 def test_a_folder_that_exists_is_left_alone(tmp_path) -> None:
     with pytest.raises(RecordingError, match="exists already"):
-        api.try_out(model_folder(), tmp_path)
+        api.simulate(model_folder(), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -522,16 +524,17 @@ def test_another_individual_is_warned_of_before_anything_else(asked) -> None:
     notes = short_trial()[0].notes
     ended[0] = replace(ended[0], notes=notes)
     assert ask().stdout.startswith(
-        f"warning: ANOTHER INDIVIDUAL: the model was fitted on {ELSEWHERE}, and tried on arm-full-5"
+        f"warning: DIFFERENT INDIVIDUAL: the model was fitted on {ELSEWHERE} and simulated on "
+        "arm-full-5"
     )
-    assert notes[-1].startswith("led by less than 20°")
+    assert notes[-1].startswith("guided by less than 20°")
 
 
 @pytest.mark.thorough
 def test_another_individual_that_nobody_asked_for_is_refused(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("HIL_STATION", raising=False)
-    with pytest.raises(SpecError, match="no station was named") as refused:
-        api.try_out(model_folder(), "new")
+    with pytest.raises(SpecError, match="no station was set") as refused:
+        api.simulate(model_folder(), "new")
     assert "--station FILE" in refused.value.hint
     assert not (tmp_path / "new").exists()

@@ -37,9 +37,9 @@ def test_few_of_its_kind_are_listed_and_many_are_not(tmp_path: Path) -> None:
     for number in range(MOST_NAMED):
         (tmp_path / f"{number}.urdf").touch()
     listed = neighbour_of(tmp_path / "nothere.urdf", [".urdf"])
-    assert listed.startswith("there is 0.urdf, 1.urdf")
+    assert listed.startswith("available: 0.urdf, 1.urdf")
     (tmp_path / "more.urdf").touch()
-    assert "is the path right" in neighbour_of(tmp_path / "nothere.urdf", [".urdf"])
+    assert "is the path correct" in neighbour_of(tmp_path / "nothere.urdf", [".urdf"])
 
 
 def test_a_folder_that_is_not_there_is_what_is_missing() -> None:

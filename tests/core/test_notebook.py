@@ -112,7 +112,7 @@ def test_every_result_is_a_whole_escaped_card(name: str) -> None:
 def test_what_a_card_says_is_what_was_found() -> None:
     assert "✓ better" in read(comparison(-0.5)._repr_html_()).text
     assert "✗ worse" in read(comparison(0.5)._repr_html_()).text
-    assert "! not better for sure" in read(comparison(-0.05)._repr_html_()).text
+    assert "! not significantly better" in read(comparison(-0.05)._repr_html_()).text
     assert "… and 8 more" in read(dataset()._repr_html_()).text
     assert "0.123" in read(EVALUATION._repr_html_()).text
     assert "1.23" in read(SHOWN["table"]._repr_html_()).text

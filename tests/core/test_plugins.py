@@ -14,6 +14,15 @@ from hil.core.errors import PluginError
 DRIVERS = "hil.drivers"
 
 
+def class_with_members(name: str, group: str, *body: str) -> str:
+    """The source of a class with every member of the interface of its group."""
+    members = (f"{member} = None" for member in plugins.MEMBERS[group])
+    return f"class {name}:\n" + "".join(f"    {line}\n" for line in (*body, *members))
+
+
+ARM = class_with_members("Arm", DRIVERS)
+
+
 def offer(monkeypatch: pytest.MonkeyPatch, **targets: str) -> None:
     """Register drivers, and nothing else."""
     points = [EntryPoint(name.rstrip("_"), target, DRIVERS) for name, target in targets.items()]
@@ -41,7 +50,7 @@ def test_names_import_nothing(monkeypatch: pytest.MonkeyPatch, module: Path) -> 
 def test_load_gives_what_the_entry_point_names(
     monkeypatch: pytest.MonkeyPatch, module: Path
 ) -> None:
-    module.write_text("class Arm:\n    pass\n")
+    module.write_text(ARM)
     offer(monkeypatch, lab="lab_driver:Arm")
 
     assert plugins.load(DRIVERS, "lab").__name__ == "Arm"
@@ -63,7 +72,7 @@ def test_an_unknown_name_is_guessed(monkeypatch: pytest.MonkeyPatch) -> None:
             "import rtde_control_that_is_missing",
             "No module named 'rtde_control_that_is_missing'",
             "the module 'rtde_control_that_is_missing' is missing: "
-            "pip install the package that brings it",
+            "install the package that contains it",
         ),
         (
             "raise ModuleNotFoundError(\"No module named 'torch.nn'\", name='torch.nn')",
@@ -77,8 +86,8 @@ def test_an_unknown_name_is_guessed(monkeypatch: pytest.MonkeyPatch) -> None:
             'pip install "hil[mock]"',
         ),
         ("1 / 0", "ZeroDivisionError", "`hil doctor` shows all plug-ins"),
-        ("import sys\nsys.exit(3)", "SystemExit: 3", "mend or uninstall"),
-        ("x = 1", "AttributeError", "mend or uninstall"),
+        ("import sys\nsys.exit(3)", "SystemExit: 3", "repair or uninstall"),
+        ("x = 1", "AttributeError", "repair or uninstall"),
     ],
 )
 def test_a_broken_plugin_says_why_and_what_to_install(
@@ -100,7 +109,7 @@ def test_a_broken_plugin_says_why_and_what_to_install(
 def test_an_estimator_must_have_the_name_of_its_entry_point(
     monkeypatch: pytest.MonkeyPatch, module: Path, body: str, name: str
 ) -> None:
-    module.write_text(f"class MyMethod:\n    {body}\n")
+    module.write_text(class_with_members("MyMethod", "hil.estimators", body))
     point = EntryPoint("my-method", "lab_driver:MyMethod", "hil.estimators")
     monkeypatch.setattr(plugins, "entry_points", lambda *, group: [point])
 
@@ -111,17 +120,34 @@ def test_an_estimator_must_have_the_name_of_its_entry_point(
     assert caught.value.hint == 'set estimator = "my-method" in the class'
 
 
+def test_missing_members_are_named(monkeypatch: pytest.MonkeyPatch, module: Path) -> None:
+    module.write_text(ARM.replace("    stop = None\n", "").replace("    read = None\n", ""))
+    offer(monkeypatch, lab="lab_driver:Arm")
+
+    with pytest.raises(PluginError, match=r"'lab' \(lab_driver:Arm\) lacks read, stop") as caught:
+        plugins.load(DRIVERS, "lab")
+    assert "add these members to Arm" in str(caught.value.hint)
+
+
+def test_extras_that_are_no_mapping_are_named() -> None:
+    class Estimator:
+        def extras(self) -> None: ...
+
+    with pytest.raises(PluginError, match=r"Estimator.*: extras\(\) returns None"):
+        plugins.require_installed([("mine", Estimator())])
+
+
 def test_a_name_claimed_twice_is_nobodys(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, lab="a:b", lab_="c:d")
 
-    with pytest.raises(PluginError, match=r"is claimed by .*\(a:b\) and .*\(c:d\)"):
+    with pytest.raises(PluginError, match=r"is registered by .*\(a:b\) and .*\(c:d\)"):
         plugins.load(DRIVERS, "lab")
 
 
 def test_describing_all_never_raises_and_tells_the_good_from_the_broken(
     monkeypatch: pytest.MonkeyPatch, module: Path
 ) -> None:
-    module.write_text("class Arm:\n    pass\n")
+    module.write_text(ARM)
     offer(monkeypatch, good="lab_driver:Arm", bad="no_such_module:Arm")
 
     bad, good = plugins.describe_all()

@@ -89,9 +89,9 @@ def test_the_nearest_is_named_whatever_the_order() -> None:
 
 
 def test_what_there_is_is_listed_where_nothing_is_alike() -> None:
-    assert did_you_mean("banana", VERBS[:3]) == "there is csv, npz, parquet"
+    assert did_you_mean("banana", VERBS[:3]) == "available: csv, npz, parquet"
     assert did_you_mean("cvs", VERBS[:3]) == "did you mean 'csv'?"
-    assert did_you_mean("banana", ()) == "there is none"
+    assert did_you_mean("banana", ()) == "none is available"
 
 
 def test_long_words_of_many_take_no_time() -> None:

@@ -259,21 +259,21 @@ def test_every_key_and_value_has_its_place(
 MISTAKES = [
     ("a: [1, 2", "f:1:9: a ',' or ']' is missing before this"),
     ("a: {b: 1", "f:1:9: a ',' or '}' is missing before this"),
-    ("a: 'x\nb: 1", "f:1:4: a quote is opened here and never closed"),
-    ("a: 1\nb: c: d", "f:2:5: a ':' that does not fit here: quote text that holds ': '"),
+    ("a: 'x\nb: 1", "f:1:4: a quotation mark is opened here and never closed"),
+    ("a: 1\nb: c: d", "f:2:5: unexpected ':': put text that contains ': ' in quotes"),
     ("a: 1\n b: 2", "f:2:3: this line is indented differently from the line above"),
     ("a:\n b: 1\n  c: 2", "f:3:4: this line is indented differently from the line above"),
     ("a:\n b: 1\n\n  c: 2", "f:4:4: this line is indented differently from the line above"),
-    ("- a\n  b: 2", "f:2:4: a ':' that does not fit here: quote text that holds ': '"),
-    ("a:\n\t- 1", "f:2:1: a tab: YAML is indented with spaces"),
-    ("a:\n  - b\n - c", "f:3:2: this continues nothing that stands above: check the indentation"),
-    ("a: 1\nword\nc: 2", "f:2:1: this is neither a key with ':' nor a value of one"),
+    ("- a\n  b: 2", "f:2:4: unexpected ':': put text that contains ': ' in quotes"),
+    ("a:\n\t- 1", "f:2:1: unexpected tab: indent YAML with spaces"),
+    ("a:\n  - b\n - c", "f:3:2: this continues no entry above: check the indentation"),
+    ("a: 1\nword\nc: 2", "f:2:1: this is neither a key with ':' nor the value of a key"),
     ("a: *x", "f:1:4: the alias refers to an anchor that is not defined above"),
     ("a: &x 1\nb: &x 2", "f:2:4: the anchor is defined a second time"),
     ("a: @x", "f:1:4: text cannot begin with this character: put it in quotes"),
-    ("a: 1\n---\nb: 2", "f:2:1: a second document: only one per file, remove the '---'"),
-    ("a: {b: }, c", "f:1:9: this continues nothing that stands above: check the indentation"),
-    ("[a] b", "f:1:5: this continues nothing that stands above: check the indentation"),
+    ("a: 1\n---\nb: 2", "f:2:1: second document: write only one per file and remove the '---'"),
+    ("a: {b: }, c", "f:1:9: this continues no entry above: check the indentation"),
+    ("[a] b", "f:1:5: this continues no entry above: check the indentation"),
     ('a: "\\UFFFFFFFF"', "f:1:7: the escape or the number here is out of range"),
     ("x: \x01", "f:1:4: the character U+0001 is not allowed in YAML"),
     ("", "f:1:1: the file is empty"),
@@ -281,20 +281,23 @@ MISTAKES = [
     ("&a [*a]", "f:1:5: an alias contains itself"),
     ("a: " + "[" * 60, "f:1:43: more than 40 levels"),
     (b"a: 1\nb: \xff", "f:2:4: byte 0xff is not UTF-8: save the file as UTF-8"),
-    ("a: 1\nb: 2\na: 3", "f:3:1: a: is given twice, first at line 1, column 1"),
-    ("l: [{x: 1, x: 2}]", "f:1:12: l.0.x: is given twice, first at line 1, column 6"),
+    ("a: 1\nb: 2\na: 3", "f:3:1: a: occurs twice, first at line 1, column 1"),
+    ("l: [{x: 1, x: 2}]", "f:1:12: l.0.x: occurs twice, first at line 1, column 6"),
     ("a: !!python/name:os.system x", None),
     ("a: !mine x", "f:1:4: a: the tag !mine is not allowed: a spec is plain data"),
     ("a: !!binary eA==", "f:1:4: a: the tag !!binary is not allowed: a spec is plain data"),
     ("a: !!set {b}", "f:1:4: a: the tag !!set is not allowed: a spec is plain data"),
-    ("a: !!int x", "f:1:4: a: x is no int, as its tag says"),
+    ("a: !!int x", "f:1:4: a: x is not of type int, which its tag states"),
     ("a: 99999999999999999999", "f:1:4: a: the number is too large"),
     ("a: " + "9" * 5000, "f:1:4: a: the number is too large"),
     ("? [a]\n: 1", "f:1:3: a list or mapping cannot be a key"),
-    ("1: x", "f:1:1: the key '1' is no text: put it in quotes; decimals take a point, not a comma"),
-    ("true: x", "f:1:1: the key 'true' is no text: put it in quotes"),
+    (
+        "1: x",
+        "f:1:1: the key '1' is not text: put it in quotes; write a decimal point, not a comma",
+    ),
+    ("true: x", "f:1:1: the key 'true' is not text: put it in quotes"),
     ("a: {<<: {b: 1}}", "f:1:5: a: merge keys (<<) are not part of YAML 1.2: write the keys out"),
-    ('a: "\\uD800"', "f:1:4: a: the text holds half a character (a lone surrogate)"),
+    ('a: "\\uD800"', "f:1:4: a: the text contains half a character (a lone surrogate)"),
 ]
 
 
@@ -310,9 +313,9 @@ def test_a_mistake_is_reported_at_its_place(text: str | bytes, line: str | None)
 
 def test_several_duplicates_and_tags_are_reported_together() -> None:
     assert lines_of("a: 1\na: 2\nb: !x 1\nb: 3\n") == [
-        "f:2:1: a: is given twice, first at line 1, column 1",
+        "f:2:1: a: occurs twice, first at line 1, column 1",
         "f:3:4: b: the tag !x is not allowed: a spec is plain data",
-        "f:4:1: b: is given twice, first at line 3, column 1",
+        "f:4:1: b: occurs twice, first at line 3, column 1",
     ]
 
 

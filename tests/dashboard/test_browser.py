@@ -287,7 +287,7 @@ def test_a_hung_dashboard_is_said_and_stop_is_asked_for_again(live_page: Any, be
         live_page.wait_for_timeout(500)
         assert live_page.evaluate(BANNER) == ""
         process.send_signal(signal.SIGSTOP)
-        until(live_page, f"{BANNER}.startsWith('No news from the dashboard for ')", OLD_WITHIN_S)
+        until(live_page, f"{BANNER}.startsWith('No data from the dashboard for ')", OLD_WITHIN_S)
         assert live_page.evaluate("document.body.classList.contains('old')")
         process.send_signal(signal.SIGCONT)
         until(live_page, f"{BANNER} === ''", WITHIN_S)
@@ -295,10 +295,10 @@ def test_a_hung_dashboard_is_said_and_stop_is_asked_for_again(live_page: Any, be
         process.send_signal(signal.SIGSTOP)
         # Of a page that is being left the driver tells nothing; its console it does.
         live_page.evaluate(TELLS)
-        with live_page.expect_console_message(lambda told: "been taken" in told.text) as refused:
+        with live_page.expect_console_message(lambda told: "been accepted" in told.text) as refused:
             live_page.evaluate("document.querySelector('.stopping button.stop').click()")
             assert text_of(live_page, ".stopping .said") == "stopping …"
-        assert "“Stop” may not have been taken: no answer" in refused.value.text
+        assert "“Stop” may not have been accepted: no answer" in refused.value.text
         assert "robot’s own button" in refused.value.text
         with live_page.expect_navigation(timeout=20_000):  # asked once more, as without scripts
             process.send_signal(signal.SIGCONT)
@@ -319,7 +319,7 @@ def test_a_refusal_is_said_at_the_button_and_a_refused_stream_is_asked_for_again
         for status in (401, 403, 500):
             live_page.route("**/stop", partial(refuse, status))
             live_page.click("main button.stop")
-            refused = f"was NOT taken: {status}"
+            refused = f"was NOT accepted: {status}"
             told = "document.querySelector('main .stop ~ .refused').textContent"
             until(live_page, f"{told}.includes('{refused}')", WITHIN_S)
             live_page.unroute("**/stop")
@@ -339,7 +339,7 @@ def test_a_hung_run_is_told_apart_in_the_header_and_on_the_overview(
         process.send_signal(signal.SIGSTOP)
         for where in (".stopping", ".card"):
             live_page.wait_for_selector(f"{where} .silent", timeout=20_000)
-            assert "no news for " in live_page.inner_text(f"{where} .silent")
+            assert "no data for " in live_page.inner_text(f"{where} .silent")
         assert live_page.evaluate(BANNER) == ""  # the dashboard itself is well
         process.send_signal(signal.SIGCONT)
         until(live_page, "!document.querySelector('.silent')", WITHIN_S)
@@ -446,7 +446,7 @@ def test_the_keyboard_stays_at_cancel_while_a_run_is_planned(live_page: Any, ben
         )
         planning.kill()
         planning.wait()
-        live_page.wait_for_selector("text=did not begin")
+        live_page.wait_for_selector("text=did not start")
         assert live_page.locator("main button.stop").count() == 0
         assert "plans" in live_page.inner_text("#printed")
 
@@ -478,9 +478,9 @@ def test_too_many_pages_are_told_apart_from_a_dashboard_that_is_gone(
 ) -> None:
     live_page.route("**/events*", partial(refuse, 503))
     live_page.goto(bench[1])
-    until(live_page, f"{BANNER}.startsWith('Too many browsers listen')", WITHIN_S)
+    until(live_page, f"{BANNER}.startsWith('Too many open browsers')", WITHIN_S)
     live_page.unroute("**/events*")
     until(live_page, f"{BANNER} === ''", WITHIN_S)
     live_page.route("**/events*", lambda route: route.abort())
     live_page.reload()
-    until(live_page, f"{BANNER}.startsWith('No news from the dashboard')", WITHIN_S)
+    until(live_page, f"{BANNER}.startsWith('No data from the dashboard')", WITHIN_S)

@@ -62,7 +62,7 @@ def test_folders_that_may_not_be_entered_are_named(
     close_folders(monkeypatch, fleet.path, first)
     assert f"{fleet.path}: Permission denied" in plain(seen(dashboard(tmp_path), "/fleets"))
     page = seen(dashboard(tmp_path), "/runs/2026-11-20/ur5-1/0001-fourier")
-    assert "Its folder cannot be opened: Permission denied" in plain(page)
+    assert "The folder of the run cannot be opened: Permission denied" in plain(page)
 
 
 def test_its_page_is_shut_in(fleet: FleetGroup, tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_a_run_is_answered_paused_resumed_and_stopped_without_any_script(tmp_pat
         assert "waiting for an answer" in browser.get("/").text
         refused = post("answer", answer="yes", prompt="Mount the 3 kg cylinder")
         assert refused.status_code == 404
-        assert "asks something else" in refused.text
+        assert "now asks another question" in refused.text
         assert post("answer", answer="yes", prompt=PROMPT).headers["location"] == where
         until(lambda: read_live(run).get("doing") == "warmup")
         moving = browser.get(where, headers=PAGE).text
@@ -107,7 +107,7 @@ def test_a_run_is_answered_paused_resumed_and_stopped_without_any_script(tmp_pat
         assert "stopped early" in browser.get(where, headers=PAGE).text
         over = browser.post(f"{where}/stop", data={"csrf": csrf})  # as the page's script asks
         assert over.status_code == 404
-        assert "not live" in over.text
+        assert "not active" in over.text
         again = post("stop")  # without scripts, or once more by them: shown is how it ended
         assert (again.status_code, again.headers["location"]) == (303, where)
 
@@ -202,7 +202,7 @@ def test_the_page_says_what_the_events_will_say(settings: Settings, run: Run) ->
     assert (shown["effort.5"], shown["temperature.5"]) == ("1.50", "–")
     assert shown["margin.speed"] == "j3: 45.0 °/s, limit 90 °/s"
     assert now["values"]["margin.speed"] == pytest.approx(0.5)
-    assert "“stale” has none" in html  # it is not forgotten: bars are made of samples
+    assert "“stale” has no bar" in html  # it is not forgotten: bars are made of samples
     assert now["series"] == {f"effort.{i}": 1.5 for i in range(6)}  # nothing to draw of the others
 
 
@@ -449,7 +449,7 @@ def test_a_process_that_only_closes_after_its_run_plans_nothing(settings: Settin
 def test_nor_does_one_that_only_closes_after_it_went_on_with_a_run(settings: Settings) -> None:
     run = ended(settings, "0001-a")
     started_here(run, settings)
-    assert [one["text"] for one in pending_starts(settings)] == ["is about to go on"]
+    assert [one["text"] for one in pending_starts(settings)] == ["is about to resume"]
     assert resume_offer(run, settings)["begun"] == "/start/17"
     (run / "resume-01.json").write_text('{"started_as": "17"}')
     assert pending_starts(settings) == []
@@ -465,7 +465,7 @@ def test_a_series_between_two_runs_can_be_cancelled(settings: Settings, tmp_path
     first = made_by_it(settings, "0001-a")
     assert pending_starts(settings) == []  # stopped: it does not go on
     (first / "verdict.json").write_text("{}")
-    assert [one["text"] for one in pending_starts(settings)] == ["is about to begin its next run"]
+    assert [one["text"] for one in pending_starts(settings)] == ["is about to start its next run"]
     last = made_by_it(settings, "0002-b")
     (last / "verdict.json").write_text("{}")
     assert pending_starts(settings) == []
@@ -528,12 +528,12 @@ def test_a_yes_read_in_an_attempt_that_died_answers_no_question_of_the_next(
         held.asks("Mount the 3 kg disc")
         old = held.form()
     with hold_run(held.path):  # killed and gone on with: its questions count from one again
-        with pytest.raises(DataError, match="asks nothing"):
+        with pytest.raises(DataError, match="has no open prompt"):
             question_of(held.path)
         held.view = LiveState(held.path)
         held.asks("Mount the 3 kg disc")
         refused = held.answer(old)
-        assert "asks something else now" in refused.text
+        assert "now asks another question" in refused.text
         assert not refused.is_success
         assert held.dropped() == []
         assert held.answer(held.form()).status_code == 200
@@ -563,7 +563,7 @@ def test_a_second_yes_answers_no_later_question_of_the_same_text(held: Held) -> 
     held.asks("Mount it", 2)
     late = held.answer(form)
     assert late.status_code == 404
-    assert "asks something else now" in late.json()["error"]
+    assert "now asks another question" in late.json()["error"]
     assert held.dropped() == []
     assert held.answer(held.form()).status_code == 200
     assert held.dropped()[0]["asked"] == 2

@@ -70,7 +70,7 @@ def test_a_page_tells_champions_the_reason_of_the_way_back_and_the_comparison(ma
     html = seen(dashboard(made), "/models/ur5")
     told = plain(html)
     assert "Champion is v1" in told
-    for text in ("it shook", "champion again", "chain whole", "errs less", "j1 0.200 0.100 0.500"):
+    for text in ("it shook", "champion again", "chain intact", "errs less", "j1 0.200 0.100 0.500"):
         assert text in told
     assert "17\u202f532 samples, 3 blocks of time" in html
     assert html.count('role="img"') == 2
@@ -81,16 +81,16 @@ def test_without_probes_and_judgement_it_is_said_how_to_get_them(lab: Path) -> N
     Registry(lab / "registry").register("bare", lab / "registry" / "ur5" / "v0001", {})
     assert "hil drift bare RUN" in seen(dashboard(lab), "/models/bare")
     told = seen(dashboard(lab), "/models/bare/v1")
-    assert "It was judged on nothing" in told
+    assert "This version was not evaluated" in told
     assert "hil evaluate" in told
-    assert "It was judged on nothing" not in seen(dashboard(lab), "/models/ur5/v1")
+    assert "This version was not evaluated" not in seen(dashboard(lab), "/models/ur5/v1")
 
 
 def test_the_chart_is_of_what_has_changed_until_another_is_asked_for(made: Path) -> None:
     client = dashboard(made)
     html = seen(client, "/models/ur5")
     assert "<option selected>shoulder_lift_joint friction</option>" in html
-    assert "1 of 4 probes are called changed" in html
+    assert "1 of 4 probes show a change" in html
     assert html.count('class="changed"') == 1
     other = seen(client, "/models/ur5?feature=load+mass")
     assert "load mass [kg]" in other
@@ -147,13 +147,13 @@ def test_a_changed_log_is_broken_and_nobody_is_champion(lab: Path) -> None:
     page = plain(seen(dashboard(lab), "/models/ur5"))
     assert "log damaged" in page
     assert "Champion is" not in page
-    assert "chain whole" not in page
+    assert "chain intact" not in page
 
 
 def test_a_version_whose_files_were_changed_says_so(lab: Path) -> None:
     spoil(lab / "registry" / "ur5" / "v0002" / "model.json", "{}")
     html = seen(dashboard(lab), "/models/ur5/v2")
-    assert "model.json is not the file that was registered" in html
+    assert "model.json was changed after its registration" in html
     assert "files as registered" not in html
 
 

@@ -96,7 +96,7 @@ def test_it_is_offered_where_hil_resume_would_go_on(run: Path) -> None:
     client = dashboard(run.parents[3])
     html = seen(client, address(run))
     assert f'action="{address(run)}/go-on"' in html
-    assert "The arm moves" in html
+    assert "the arm moves" in html
 
 
 @pytest.mark.parametrize("why", ["commissioning", "passive", "completed", "no plan", "read-only"])
@@ -138,7 +138,7 @@ def test_a_live_run_is_not_begun_again(run: Path) -> None:
     with hold_run(run):
         answer = asked(run)
         assert answer.status_code == 404
-        assert "goes on already" in plain(answer.text)
+        assert "is running already" in plain(answer.text)
     assert started_runs(run.parents[2]) == []
 
 
@@ -146,7 +146,7 @@ def test_resume_of_a_live_page_that_is_too_late_moves_no_arm(run: Path, starts: 
     client = dashboard(run.parents[3])
     (form,) = re.findall(r'name="csrf" content="([^"]+)"', seen(client, "/"))
     answer = client.post(f"{address(run)}/resume", data={"csrf": form})
-    assert "not live" in answer.text
+    assert "not active" in answer.text
     assert starts.what == []
 
 
@@ -351,7 +351,7 @@ def test_a_station_that_was_changed_since_is_shown_again(
     copy.write_text(copy.read_text("utf-8").replace("Nobody is near.", "The fence is closed."))
     answer = form.resume(confirm="ur5", **before)
     assert answer.status_code == 409
-    assert "not what was checked" in answer.text
+    assert "changed after the check" in answer.text
     assert "The fence is closed." in answer.text
     assert hidden(answer.text)["facts"] != before["facts"]
     assert noted_starts == []

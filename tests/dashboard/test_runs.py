@@ -381,7 +381,7 @@ def test_a_query_that_cannot_be_understood_is_mended_beside_the_field(
 
 
 def test_nothing_found_says_what_to_do(sixty_runs: TestClient) -> None:
-    assert "No run meets: robot=kuka" in plain(seen(sixty_runs, "/runs?q=robot%3Dkuka"))
+    assert "No run matches: robot=kuka" in plain(seen(sixty_runs, "/runs?q=robot%3Dkuka"))
 
 
 def test_headings_sort_and_turn_round(sixty_runs: TestClient) -> None:
@@ -423,7 +423,7 @@ def test_an_error_is_said_without_exponents(tmp_path: Path, rmse: float, said: s
 
 def test_a_folder_of_runs_that_is_a_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("")
-    assert "not a folder of runs" in plain(seen(dashboard(tmp_path), "/runs", status=422))
+    assert "a file, not a folder of runs" in plain(seen(dashboard(tmp_path), "/runs", status=422))
 
 
 def test_a_run_by_a_link_is_listed_without_an_address(tmp_path: Path) -> None:
@@ -471,7 +471,7 @@ def test_of_many_robots_those_that_are_held_are_seen_and_the_rest_is_counted(
         always, rest = card(seen(dashboard(two_stations), "/"), "many")
     assert re.findall(r"<li>([\w-]+)", always) == ["many-07"]
     assert f"{MANY} robots, 1 held" in plain(always)
-    assert f"{MANY - 1} not held" in plain(rest).split(">")[-1]
+    assert f"{MANY - 1} free" in plain(rest).split(">")[-1]
     assert len(re.findall("<li>", rest)) == MANY - 1
     assert not re.match("[^>]* open", rest)
 

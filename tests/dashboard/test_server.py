@@ -118,7 +118,7 @@ def test_what_another_site_asks_is_refused_though_it_knew_the_value(
 ) -> None:
     answer = client(own).post("/who", data={"csrf": own.csrf, "who": "me"}, headers=headers)
     assert answer.status_code == 403
-    assert "another site" in answer.text
+    assert "different site" in answer.text
 
 
 def test_our_own_origin_may_ask(own: Settings) -> None:
@@ -290,7 +290,7 @@ def test_specs_offered_are_those_of_the_lab_or_of_this_folder(
     assert specs_folder(None) == Path()
     Path("experiments").mkdir()
     assert specs_folder(None) == Path("experiments")
-    with pytest.raises(SpecError, match="--specs elsewhere is no folder"):
+    with pytest.raises(SpecError, match="--specs elsewhere is not a folder"):
         specs_folder(Path("elsewhere"))
 
 
@@ -603,7 +603,7 @@ def test_stop_is_heard_while_500_slow_connections_are_open_and_200_posts_are_abo
             )
             with connected(there, ask) as asked:
                 answer = heard(asked)
-            assert b"does not listen at the moment" in answer  # found, and its process is a test
+            assert b"does not accept requests at present" in answer  # its process is a test
             serving.send_signal(signal.SIGINT)
             serving.wait(WITHIN_S)
         finally:
@@ -645,7 +645,8 @@ def test_nothing_is_printed_when_it_ends_with_a_page_open(tmp_path: Path, by: in
                     heard += part
         finally:
             serving.kill()
-    assert (said, errors) == ("", "Ctrl-C ends it; runs that it started go on.\n")
+    assert said == ""
+    assert errors == "Ctrl-C ends the dashboard; runs that were started from it continue.\n"
     assert heard.endswith(b"0\r\n\r\n")  # the page hears that it is over, and not that it is lost
 
 

@@ -128,7 +128,7 @@ def test_checking_shows_the_plan_and_moves_nothing(desk: Desk) -> None:
         ({"spec": "../asks.yaml"}, "not offered"),
         ({"spec": "/etc/passwd"}, "not offered"),
         ({"station": "asks.yaml"}, "not offered"),
-        ({"overrides": "excitation.waypoints"}, "changes nothing"),
+        ({"overrides": "excitation.waypoints"}, "is not an override"),
         ({"overrides": "excitation.waypoint=3"}, "waypoint"),
         ({"overrides": "excitation.waypoints=many"}, "waypoints"),
         ({"overrides": "excitation.waypoints=8\0"}, "control characters (U+0000)"),
@@ -257,7 +257,7 @@ def test_one_that_did_not_begin_says_its_last_words(desk: Desk) -> None:
     until(lambda: not started.alive, 20)
     ended = desk.browser.get(answer.headers["location"], headers=PAGE)
     if not started.made:  # it is quick, but not that quick
-        assert "did not begin" in ended.text
+        assert "did not start" in ended.text
         assert "http-equiv" not in ended.text
 
 
@@ -287,7 +287,7 @@ def test_the_plan_is_drawn_and_speaks_of_no_command_line(desk: Desk) -> None:
     picture = base64.b64decode(data).decode()
     assert "Joint angles over the whole plan" in picture
     assert "img-src 'self' data:" in answer.headers["content-security-policy"]
-    assert "once started, the run plans anew from where the arm stands" in answer.text
+    assert "the run plans again from the current pose of the arm" in answer.text
     assert "--connect" not in answer.text
     assert "hil run" not in answer.text
 
@@ -301,7 +301,7 @@ def test_a_first_time_is_planned_slower_and_shorter(desk: Desk) -> None:
     assert shown["part of the program"] == "at 25 % of the speed, only the first 4 of 12 measured"
     assert (whole["poses"], shown["poses"]) == ("12", "4")
     assert "condition number" not in shown
-    assert "nothing is fitted or judged" in answer.text
+    assert "nothing is fitted or evaluated" in answer.text
     assert re.search(r"<option selected>25%<", answer.text)
     assert 'name="first" value="4"' in answer.text
 
@@ -311,7 +311,8 @@ def test_a_first_time_is_planned_slower_and_shorter(desk: Desk) -> None:
 def test_a_part_that_cannot_be_is_said(desk: Desk, field: str, value: str, do: str) -> None:
     answer = desk.post(do=do, **{field: value})
     assert answer.status_code == 422
-    assert "cannot be" in answer.text
+    option = {"speed": "--speed-scale", "first": "--limit"}[field]
+    assert f"{option} {value} is n" in unescape(answer.text)
     assert not desk.settings.runs.exists()
 
 
@@ -373,7 +374,7 @@ def test_what_was_changed_since_it_was_checked_is_shown_anew_and_not_started(
     answer = noting_desk.post("start", checked=first)
     assert answer.status_code == 409
     assert noting_desk.started == []
-    assert "not what was checked" in answer.text
+    assert "changed after the check" in answer.text
     assert re.search(r'<th scope="row">poses</th><td>13</td>', answer.text)
     assert checked(answer.text) != first
     assert noting_desk.post("start", checked=checked(answer.text)).headers["location"] == "/start/1"
@@ -501,7 +502,7 @@ def test_a_plan_has_so_much_memory_and_no_more(
     status, text = check(tmp_path)
     assert status == 422
     assert "no plan" in text
-    assert "a plan may take 0.15 GB here" in text
+    assert "a plan may use 0.15 GB of memory here" in text
 
 
 def test_arrays_that_do_not_fit_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -706,7 +707,7 @@ def test_a_file_outside_is_neither_read_nor_told_of(
 ) -> None:
     status, text = asked(files_desk, do, overrides.replace("\\\\", "\\"))
     assert status == 422
-    assert "is not in the folder that is offered here" in text
+    assert "is not in the folder of specs" in text
     assert SECRET[:6] not in text
 
 
@@ -793,7 +794,7 @@ def test_the_page_of_the_start_leads_to_the_run(
     said.log.write_text(f"{words(run, monkeypatch)}\n  next: wait\n")
     text = TestClient(create_app(settings), base_url="http://127.0.0.1:8350").get("/start/17").text
     link = '<a href="/runs/2026-11-23/ur5/0006-ci-dwell-12">2026-11-23/ur5/0006-ci-dwell-12</a>'
-    assert f"a.yaml did not begin: robot ur5 is held by run {link}." in text
+    assert f"a.yaml did not start: robot ur5 is held by run {link}." in text
 
 
 def test_a_run_kept_elsewhere_and_other_words_lead_nowhere(

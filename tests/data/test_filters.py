@@ -234,7 +234,7 @@ def test_samples_too_few_for_what_the_filters_pass_are_refused_with_the_most_tha
 
 
 def test_every_and_rate_together_are_refused() -> None:
-    with pytest.raises(ValidationError, match="two ways"):
+    with pytest.raises(ValidationError, match="both set the down-sampling"):
         FilterSettings(every=2, rate_hz=50.0)
 
 

@@ -123,7 +123,7 @@ def test_same_recording_under_another_name_is_found() -> None:
     with pytest.raises(DataError, match=r"50 samples of the test data.* of elsewhere") as caught:
         assert_disjoint(data, renamed)
     assert caught.value.message.endswith(f" in {data.conditions[0].source}")
-    assert "another excitation.seed" in caught.value.hint
+    assert "a different excitation.seed" in caught.value.hint
 
 
 def test_different_recordings_of_equal_numbers_pass() -> None:
@@ -246,7 +246,7 @@ def test_a_study_says_it_row_by_row() -> None:
 
 def test_data_without_anything_to_stop_by_are_refused() -> None:
     data = moving(1, 2)
-    with pytest.raises(DataError, match="no rows are left to stop by"):
+    with pytest.raises(DataError, match="no rows are left for early stopping"):
         training_and_validation(with_part(data, np.full(len(data), TRAINING)))
 
 

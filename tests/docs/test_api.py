@@ -26,16 +26,24 @@ BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 FUNCTIONS = [name for name in hil.__all__ if inspect.isfunction(getattr(api, name))]
 
 
-def signature(name: str) -> str:
-    """As the page shows it: names and defaults, without types."""
-    given = inspect.signature(getattr(api, name))
-    bare = [p.replace(annotation=p.empty) for p in given.parameters.values()]
-    return f"hil.{name}{inspect.Signature(bare)}"
+REFERENCE = (DOCS / "reference" / "python.md").read_text("utf-8")
+DIRECTIVES = re.findall(r"^::: (\S+)$", REFERENCE, re.MULTILINE)
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_signatures_are_those_of_the_code(name: str) -> None:
-    assert signature(name) in [block.strip() for block in BLOCKS]
+def test_every_function_has_a_row_and_is_in_the_generated_reference(name: str) -> None:
+    rows = re.findall(r"^\| `hil\.(\w+)\((.*?)\)`", PAGE, re.MULTILINE)
+    shown = dict(rows)[name]
+    known = inspect.signature(getattr(api, name)).parameters
+    assert set(re.findall(r"(\w+)=", shown)) <= known.keys()
+    function = getattr(hil, name)
+    assert f"{function.__module__}.{function.__qualname__}" in DIRECTIVES
+
+
+@pytest.mark.parametrize("directive", DIRECTIVES)
+def test_what_the_reference_names_exists_and_is_described(directive: str) -> None:
+    module, _, name = directive.rpartition(".")
+    assert inspect.getdoc(getattr(import_module(module), name))
 
 
 @pytest.mark.parametrize("name", hil.__all__)
@@ -63,7 +71,7 @@ BY_FUNCTION = {
     "validate": "load", "plan": "plan", "run": "run", "resume": "resume", "runs": "find_runs",
     "fit": "fit", "evaluate": "evaluate", "payload": "estimate_payload",
     "study": "study", "figures": "figures", "rest-pose": "rest_poses", "export": "export_model",
-    "try-out": "try_out", "import": "import_recording", "export-data": "export_data",
+    "simulate": "simulate", "import": "import_recording", "export-data": "export_data",
     "models": "registry", "reidentify": "reidentify",
 }  # fmt: skip
 """What does in Python what a verb does; `models compare` has none."""

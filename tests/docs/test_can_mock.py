@@ -65,7 +65,7 @@ def test_every_request_of_the_side_channel_is_there() -> None:
 
 
 def test_every_command_of_the_shell_is_a_request() -> None:
-    lines = re.findall(r"^hil mock can tell (.*?)\s*(?:#.*)?$", FAULTS, re.M)
+    lines = re.findall(r"^hil mock can send (.*?)\s*(?:#.*)?$", FAULTS, re.M)
     asked = [TELL.request(line.split()[0], line.split()[1:])["do"] for line in lines]
     assert asked == ["fault", "state", "clear", "mount"]
 

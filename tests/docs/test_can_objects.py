@@ -84,7 +84,7 @@ def members(part: Group) -> list[str]:
 def tables() -> dict[str, list[str]]:
     return {
         "Communication (CiA 301)": rows(COMMUNICATION),
-        "The maker's own": rows(VENDOR),
+        "Manufacturer-specific": rows(VENDOR),
         "Drive (CiA 402)": rows(DRIVE),
     }
 

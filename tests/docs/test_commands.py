@@ -26,7 +26,7 @@ BEGUN = "goes on with what is under way: tests of runs, registry and fleets do i
 INSTALLS = "writes into the environment or the shell of who calls it"
 
 NOT_RUN = {
-    "README.md": {INSTALLS: 2, LONG: 5},
+    "README.md": {INSTALLS: 2, LONG: 4},
     "docs/explanation/past-one-machine.md": {LONG: 1},
     "docs/gallery.md": {LONG: 15, SERVES: 1},
     "docs/how-to/calibrate-drive-gains.md": {HARDWARE: 1},

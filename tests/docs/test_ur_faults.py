@@ -70,7 +70,7 @@ def test_every_button_is_there_and_every_command_of_the_shell_is_one():
     assert set(stops) <= set(UrFault.kinds)
     pressed = set(re.findall(r"`pendant (\w+)`", released))
     assert pressed <= set(PRESSES)
-    for line in re.findall(r"^hil mock ur tell (.*?)\s*(?:#.*)?$", released, re.M):
+    for line in re.findall(r"^hil mock ur send (.*?)\s*(?:#.*)?$", released, re.M):
         do, *more = line.split()
         assert TELL.request(do, more)["do"] in ("fault", "state", "pendant", "clear")
 

@@ -103,7 +103,7 @@ def test_folders_that_cannot_be_written_are_bad_and_nothing_is_made(
     monkeypatch.setenv("HIL_RUNS", str(tmp_path / "file" / "runs"))
     found = {one.what: one for one in computer.folders()}
     assert (found["runs"].level, found["leases"].level) == ("bad", "ok")
-    assert "can be made" in found["leases"].finding
+    assert "can be created" in found["leases"].finding
     assert os.listdir(tmp_path) == ["file"]
 
 
@@ -251,7 +251,7 @@ def test_robots_that_are_not_there_are_bad_and_say_how_to_mend(
     assert found["mock robots"].finding.startswith("inside:")
     silent = {name: found[name] for name in ("away: ports", "plc: port", "bus: bus")}
     assert {one.level for one in silent.values()} == {"bad"}
-    assert "is the controller on" in silent["away: ports"].finding
+    assert "the controller is on" in silent["away: ports"].finding
     assert "no interface can77: plug the adapter in" in silent["bus: bus"].finding
 
 

@@ -252,7 +252,7 @@ def test_panda_holds_its_wrist_with_the_torque_its_masses_ask_for():
 def test_mock_says_that_it_has_no_drives_for_seven_joints():
     from hil_mock_robot.plant.truth import draw_truth
 
-    with pytest.raises(SpecError, match="arms with 6 joints; panda has 7"):
+    with pytest.raises(SpecError, match="arms with 6 joints only; panda has 7"):
         draw_truth("panda")
 
 
@@ -311,7 +311,7 @@ def test_what_the_urdf_leaves_out_is_told_and_marked(tmp_path: Path) -> None:
     (*_, draft), notes = own_arm_drafts(URDF, tmp_path / "own.yaml", robot="own", name="own")
     assert "joints: A1, A2, A3, A4, A5, A6" in notes
     assert "the URDF has no speed limit for A4, A5: guessed" in notes
-    marked = [line for line in draft.text.splitlines() if "GUESS what the URDF" in line]
+    marked = [line for line in draft.text.splitlines() if "GUESS values that the URDF" in line]
     assert len(marked) == 2
     draft.path.write_text(draft.text)
     assert load_arm(str(draft.path)).guessed == (
@@ -323,11 +323,15 @@ def test_what_the_urdf_leaves_out_is_told_and_marked(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>', r"turns about \(0, 0, -1\)"),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>', r"first joint is \(0, 0, -1\)"),
         ('xyz="0 0 0.3" rpy', 'xyz="0.1 0 0.3" rpy', r"through \(0.1, 0, 0.3\)"),
-        ('<joint name="A6" type="revolute">', '<joint name="A6" type="prismatic">', "slides"),
-        ('<mass value="7"/>', '<mass value="0"/>', "boom weighs nothing"),
-        ('ixx="0.14"', 'ixx="-0.14"', "boom has an inertia that no body has"),
+        (
+            '<joint name="A6" type="revolute">',
+            '<joint name="A6" type="prismatic">',
+            "prismatic joint",
+        ),
+        ('<mass value="7"/>', '<mass value="0"/>', "the mass of boom is zero"),
+        ('ixx="0.14"', 'ixx="-0.14"', "inertia of boom is not physically possible"),
     ],
 )
 def test_an_arm_that_cannot_be_described_is_refused(
@@ -363,7 +367,7 @@ def test_a_speed_that_no_joint_has_is_told_and_guessed(tmp_path: Path) -> None:
     urdf = changed(tmp_path, ELBOW, ELBOW.replace('"3"', '"115"'))
     (*_, draft), notes = own_arm_drafts(urdf, tmp_path / "own.yaml", robot="own", name="own")
     assert notes[0] == (
-        "speed limits that no arm has (are they degrees per second?): A3 115 rad/s: not taken"
+        "implausible speed limits are ignored (are they in degrees per second?): A3 115 rad/s"
     )
     assert "the URDF has no speed limit for A3, A4, A5: guessed" in notes
     draft.path.write_text(draft.text)
@@ -387,8 +391,8 @@ def test_programs_move_inside_the_limits_however_narrow(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("rate_hz: 250\n", "the arm lacks 'joints'"),
-        ("- 1\n", "describes no arm"),
+        ("rate_hz: 250\n", "the arm description lacks the key 'joints'"),
+        ("- 1\n", "is not a valid arm description"),
         ("a: [1\n", "cannot be read as an arm"),
         (
             DESCRIBED_UR5.replace("drive_gain_nm_a: 10.15", "drive_gain_nm_a: 0"),

@@ -260,7 +260,7 @@ def test_a_path_of_one_sample_is_a_path():
 @pytest.mark.parametrize("q", [np.empty((0, 6)), np.array([HOME, HOME * np.nan])])
 def test_a_path_that_cannot_be_checked_is_refused(q):
     model = CollisionModel(load_arm("ur5"))
-    with pytest.raises(DataError, match="has no clearance"):
+    with pytest.raises(DataError, match="path has no samples, or positions that are not finite"):
         smallest_along_paths([q], model.distances, model.reach)
 
 

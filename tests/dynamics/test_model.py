@@ -166,12 +166,12 @@ def test_unknown_arm_is_refused_with_the_known_names():
 
 
 def test_wrong_number_of_rotor_inertias_is_refused():
-    with pytest.raises(SpecError, match="3 rotor inertias were given for the 6 joints"):
+    with pytest.raises(SpecError, match="3 rotor inertias were passed for the 6 joints"):
         RobotModel.from_arm("ur5", [1, 2, 3])
 
 
 def test_data_of_another_arm_are_refused():
-    with pytest.raises(DataError, match="rows of 6 joints"):
+    with pytest.raises(DataError, match="6 joints per row"):
         RobotModel.from_arm("ur5").gravity(np.zeros((4, 7)))
 
 
@@ -246,7 +246,7 @@ def test_columns_of_another_scale_count_as_much():
 @pytest.mark.parametrize(
     ("W", "message"),
     [
-        (np.ones((2, 3)), "cannot tell 3 parameters apart"),
+        (np.ones((2, 3)), "cannot determine 3 parameters"),
         (np.full((5, 3), np.nan), "NaN"),
         (np.zeros((5, 3)), "zeros"),
     ],
@@ -362,7 +362,7 @@ def test_a_model_file_finds_it_again(robots) -> None:
 
 
 def test_an_arm_without_coupling_has_no_motor_side() -> None:
-    with pytest.raises(SpecError, match="every motor of this arm moves one joint only"):
+    with pytest.raises(SpecError, match="every motor of this arm moves only one joint"):
         load_model("ur5@motors")
 
 

@@ -162,7 +162,7 @@ def test_rows_without_any_sample_are_an_empty_regressor():
 @pytest.mark.usefixtures("_compiled_from_a_hundred")
 @pytest.mark.parametrize("columns", [[3, 3], [5, 2], [-1, 4], [60, 66]])
 def test_columns_that_do_not_ascend_or_exist_are_refused(columns):
-    with pytest.raises(DataError, match="do not ascend"):
+    with pytest.raises(DataError, match="are not in ascending order"):
         RobotModel.from_arm("ur5").regressor(*motion(1), columns=np.array(columns))
 
 

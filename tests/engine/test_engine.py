@@ -507,7 +507,7 @@ def test_what_was_under_way_is_named_with_its_pose() -> None:
         "in step 5 (reference)",
         "in step 6 (move)",
         "in step 7 (trajectory 3)",
-        "in a step of the way back (move)",
+        "in a step of the return to the plan (move)",
     ]
 
 
@@ -645,7 +645,7 @@ def test_in_wall_time_rows_may_repeat_for_as_long_as_the_spec_says() -> None:
         InterlockTripped, match=r"interlock stale: .* stands still at 3\.000 s"
     ) as e:
         watch.check(rows(device_time=3.0))
-    assert "nothing new for 5.1 s, limit 5 s" in e.value.message
+    assert "no newer sample for 5.1 s, limit 5 s" in e.value.message
 
 
 def test_a_newer_row_begins_afresh() -> None:
@@ -662,7 +662,7 @@ def test_a_virtual_clock_knows_no_wall_time_and_counts_blocks() -> None:
     clock.now = 3600.0
     for _ in range(STALE_AFTER_BLOCKS):
         watch.check(rows(device_time=3.0))
-    with pytest.raises(InterlockTripped, match="51 blocks in a row brought nothing new"):
+    with pytest.raises(InterlockTripped, match="51 blocks in a row without a newer sample"):
         watch.check(rows(device_time=3.0))
 
 
@@ -670,12 +670,14 @@ def test_a_clock_that_went_backwards_is_called_so() -> None:
     watch, clock = watching()
     watch.check(rows(device_time=-2.0))
     clock.now = 0.6
-    told = r"the robot's clock went backwards, from 3\.000 s to -1\.900 s: nothing new for 0\.6 s"
+    told = (
+        r"the robot's clock went backwards, from 3\.000 s to -1\.900 s: no newer sample for 0\.6 s"
+    )
     with pytest.raises(InterlockTripped, match=told):
         watch.check(rows(device_time=-1.9))
 
 
 def test_a_time_that_is_no_number_is_the_drivers_fault() -> None:
     watch, _ = watching()
-    with pytest.raises(StaleState, match="not a number"):
+    with pytest.raises(StaleState, match="is not a finite number"):
         watch.check(rows(device_time=np.nan))

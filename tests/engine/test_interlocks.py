@@ -166,7 +166,7 @@ def test_a_default_is_switched_off_by_its_name_only() -> None:
 
 
 def test_stale_data_cannot_be_switched_off_and_its_time_reaches_the_engine() -> None:
-    assert "cannot be switched off" in problem("{kind: stale, enabled: false}")
+    assert "cannot be disabled" in problem("{kind: stale, enabled: false}")
     assert (
         interlocks_from_spec(
             with_interlocks("{kind: stale, after_s: 0.2}").interlocks
@@ -211,7 +211,7 @@ def test_a_spec_survives_being_written_and_read_again() -> None:
         ),
         (
             "{kind: current, limit_a: []}",
-            "interlocks.0.limit_a: must not be empty: at least 1 needed",
+            "interlocks.0.limit_a: must not be empty: at least 1 required",
         ),
         (
             "{kind: current, limit_ma: 500}",
@@ -225,24 +225,25 @@ def test_a_spec_survives_being_written_and_read_again() -> None:
         ),
         (
             "{kind: temperature, action: pause, resume_below_c: 80}",
-            "interlocks.0.resume_below_c: must be below the limit of 75 °C",
+            "interlocks.0.resume_below_c: must be below limit_c (75 °C)",
         ),
         (
             "{kind: temperature, resume_below_c: 50}",
-            "interlocks.0.resume_below_c: only an interlock with action: pause resumes",
+            "interlocks.0.resume_below_c: requires action: pause",
         ),
         (
             "{kind: workspace}",
-            "interlocks.0: bounds nothing: give min_m, max_m or planes",
+            "interlocks.0: has no limit: give min_m, max_m or planes",
         ),
         (
             "{kind: workspace, min_m: [0, 0, 0.5], max_m: [1, 1, 0.4]}",
-            "interlocks.0.max_m.2: must be above the 0.5 m of min_m",
+            "interlocks.0.max_m.2: must be above min_m (0.5 m)",
         ),
         (
             "{kind: speed, limit_deg_s: [90, 90, 90, 50, 90, 90]}",
-            "interlocks.0.limit_deg_s: must be above the 60 °/s of excitation.max_velocity_deg_s: "
-            "lower that one, or raise this one as far as the arm goes",
+            "interlocks.0.limit_deg_s: must be above "
+            "excitation.max_velocity_deg_s (60 °/s): reduce that limit, or increase this one, at "
+            "most to the limit of the arm",
         ),
     ],
 )
@@ -312,8 +313,11 @@ def test_the_context_of_a_plug_in_is_given_by_position(plugged: None, kind: str)
     [
         ({"kind": "humidity"}, "TypeError: .*limit_percent"),
         ({"kind": "picky"}, "ValueError: no sensor on port 7"),
-        ({"kind": "half-made"}, "its plug-in is no interlock: it lacks name, action, check, clear"),
-        ({"kind": "wishful"}, "there is no interlock of kind 'wishful'"),
+        (
+            {"kind": "half-made"},
+            "its plug-in is not an interlock: it lacks name, action, check, clear",
+        ),
+        ({"kind": "wishful"}, "unknown interlock kind 'wishful'"),
     ],
 )
 def test_a_plug_in_that_cannot_watch_is_refused(
@@ -412,7 +416,7 @@ def test_what_is_not_measured_trips_while_the_arm_moves_temperatures_excepted(
         assert trip is None
     else:
         assert trip is not None
-        assert "j4 not measured" in trip.text(NAMES)
+        assert "j4 is not measured" in trip.text(NAMES)
 
 
 @pytest.mark.parametrize("of_a_block", [4, 1])
@@ -576,7 +580,7 @@ def test_a_temperature_sensor_that_dies_trips_while_the_arm_moves() -> None:
     assert [interlock.check(dies) is not None for _ in range(3)] == [True] * 3
     trip = interlock.check(dies)
     assert trip is not None
-    assert "j4 was measured, is not any more, limit 70 °C" in trip.text(NAMES)
+    assert "j4 is no longer measured, limit 70 °C" in trip.text(NAMES)
     assert interlock.check(never) is None
 
 
@@ -795,7 +799,7 @@ def test_positions_that_are_not_measured_trip_while_the_arm_moves() -> None:
     block["status"] = 1
     trip = interlock.check(block)
     assert trip is not None
-    assert "j3 not measured" in trip.text(NAMES)
+    assert "j3 is not measured" in trip.text(NAMES)
     block["q"][1, 2] = np.inf
     assert interlock.check(block) is not None
     # What is measured again is judged again.
@@ -1006,7 +1010,7 @@ def test_a_disk_that_hangs_is_never_waited_for_and_trips_after_ten_seconds(disk:
     taken.require(1.0)
     assert not waited_out
     assert trip is not None
-    assert "free space for . not measured" in trip.text(NAMES)
+    assert "free space for . is not measured" in trip.text(NAMES)
     hang.set()
     until(lambda: interlock.check(BLOCK) is None)
 
@@ -1085,7 +1089,7 @@ def test_the_interlocks_of_a_run_watch_its_own_folder_and_recorder(tmp_path: Pat
         interlocks = RunInterlocks(load(spec, station), robot, plan)
     backlog, disk = (one for one in interlocks.all if one.name in ("recorder", "disk"))
     for one in (backlog, disk):
-        with pytest.raises(RuntimeError, match="before the recording has begun"):
+        with pytest.raises(RuntimeError, match="before the recording began"):
             one.check(BLOCK)
     recorder: Any = SimpleNamespace(behind_s=1.0)
     interlocks.watch_recording(tmp_path, recorder)
@@ -1137,7 +1141,7 @@ def test_an_interlock_that_raises_is_named_with_its_place() -> None:
 def test_what_is_no_trip_is_none() -> None:
     says_true = Foreign("handmade", lambda block: True)
     result = engine(KinematicRobot(), ListSink(), interlocks=[says_true]).run()
-    assert result.reason == "interlock handmade: check returned True, which is no Trip"
+    assert result.reason == "interlock handmade: check returned True, which is not a Trip"
 
 
 def test_an_interlock_that_dawdles_is_named_at_the_end() -> None:
@@ -1145,7 +1149,9 @@ def test_an_interlock_that_dawdles_is_named_at_the_end() -> None:
     judge = Judge([Foreign("sleeper", lambda block: None)], now=lambda: next(clock))
     for _ in range(3):
         assert list(judge.violations(ListSink)) == []  # type: ignore[arg-type]
-    assert judge.notes == ["interlock sleeper took up to 0.5 s for one block: it must not wait"]
+    assert judge.notes == [
+        "interlock sleeper took up to 0.5 s for one block: its check must not wait"
+    ]
 
 
 class WallRobot(KinematicRobot):
@@ -1168,7 +1174,7 @@ def test_an_interlock_that_hangs_is_named_and_not_the_driver() -> None:
     for_ever.set()
     taken.require(15)
     assert isinstance(result.error, InterlockTripped)
-    assert result.reason == "interlock light curtain: it did not return for seconds"
+    assert result.reason == "interlock light curtain: its check did not return for several seconds"
     assert "the watchdog stopped the robot" in result.notes[0]
 
 

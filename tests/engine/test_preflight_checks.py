@@ -153,8 +153,8 @@ def test_each_robot_fault_fails_its_own_check(
     [
         ("disk", {"free_bytes": lambda folder: 1000}, "0 MB are free"),
         ("clock", {"now": lambda: 86_400.0}, "1970-01-02"),
-        ("first-move", {"distance": lambda q: 0.015 + 0 * q[:, 0]}, "keeps 15.0 mm"),
-        ("first-move", {"distance": lambda q: 0.2 - q[:, 0]}, "keeps -100.0 mm"),
+        ("first-move", {"distance": lambda q: 0.015 + 0 * q[:, 0]}, "clearance of 15.0 mm"),
+        ("first-move", {"distance": lambda q: 0.2 - q[:, 0]}, "clearance of -100.0 mm"),
         ("first-move", {"collision": None}, "no collision model"),
         ("folder", {"folder": Path("/nowhere/at/all")}, "cannot be written to"),
     ],
@@ -200,14 +200,16 @@ def test_a_real_arm_is_moved_on_guesses_with_a_reason_alone(
 def test_guesses_of_what_interlocks_rest_on_are_not_waived(word: str, tmp_path: Path) -> None:
     plan = small_plan(robot_model=str(own_arm(tmp_path, f"[gear_ratio, {word}]")))
     robot, given = ScriptedRobot(clock="wall"), context(tmp_path, waivers=("guessed", "clock"))
-    with pytest.raises(PreflightFailed, match=f"guessed in gear_ratio, {word}") as refused:
+    with pytest.raises(
+        PreflightFailed, match=f"guessed values of the arm: gear_ratio, {word}"
+    ) as refused:
         require_preflight(plan, robot, given)
-    assert refused.value.hint.endswith(f"a waiver is not for {word}")
+    assert refused.value.hint.endswith(f"; {word} cannot be waived")
 
 
 @pytest.mark.parametrize("guessed", ["capsules", "true", "[1]", "{capsules: 1}"])
 def test_guesses_are_a_list_of_words(guessed: str, tmp_path: Path) -> None:
-    with pytest.raises(SpecError, match="`guessed` is a list of words"):
+    with pytest.raises(SpecError, match="`guessed` must be a list of strings"):
         load_arm(str(own_arm(tmp_path, guessed)))
 
 
@@ -269,7 +271,7 @@ def test_figures_that_json_has_no_number_for_are_kept_as_words(tmp_path: Path) -
 
 
 def test_a_waiver_for_no_check_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SpecError, match="'paylod' names no check") as error:
+    with pytest.raises(SpecError, match="'paylod' is not the name of a check") as error:
         preflight(small_plan(), ScriptedRobot(), context(tmp_path, waivers=("paylod",)))
     assert "'payload'" in error.value.hint
 
@@ -354,9 +356,9 @@ def test_it_is_said_before_motion_whether_loads_will_be_weighed(tmp_path: Path) 
         assert result.passed
         return result.message
 
-    assert told(sweep(), "torque") == "each load is weighed at 1 pose first"
-    assert "no load is weighed: the robot's drive gains are not known" in told(sweep(), "current")
-    assert "no load is weighed: there are no two loads" in told(small_plan(), "torque")
+    assert told(sweep(), "torque") == "payload check of each load at 1 pose first"
+    assert "no payload check: the robot's drive gains are unknown" in told(sweep(), "current")
+    assert "no payload check: all loads have the same mass" in told(small_plan(), "torque")
 
 
 def test_the_weighing_to_come_can_be_waived(tmp_path: Path) -> None:
@@ -388,7 +390,7 @@ def test_what_it_finds_wrong_keeps_it_from_moving_and_cannot_be_waived(tmp_path:
     with pytest.raises(PreflightFailed, match="robot-mode: it sleeps") as caught:
         require_preflight(small_plan(), robot, context(tmp_path))
     assert "wake it up" in caught.value.hint
-    with pytest.raises(SpecError, match="names no check"):
+    with pytest.raises(SpecError, match="is not the name of a check"):
         preflight(small_plan(), robot, context(tmp_path, waivers=("robot-mode",)))
 
 

@@ -40,12 +40,12 @@ def spoiled(data, value):
 
 def test_without_gains_or_limits_only_what_nobody_builds_is_refused() -> None:
     data = replace(dwelling(60), drive_gains=None)
-    with pytest.raises(FitError, match="cannot be"):
+    with pytest.raises(FitError, match="are impossible"):
         StaticWls(form="paper").fit(spoiled(data, 1e6), nominal())
     unlimited = RobotModel.from_arm("ur5")
     unlimited.effort_max = np.zeros(6)
     require_plausible(spoiled(data, 1e3), unlimited)
-    with pytest.raises(FitError, match="cannot be"):
+    with pytest.raises(FitError, match="are impossible"):
         require_plausible(spoiled(data, 1.1e6), unlimited)
 
 
@@ -118,6 +118,6 @@ def test_a_model_of_a_ur10e_is_not_judged_on_a_ur5(tmp_path: Path) -> None:
         lambda model: estimate_payload(model, loaded),
         lambda model: under_load(model, loaded, None),
     ):
-        with pytest.raises(DataError, match="the model is of a ur10e, the data are of a ur5"):
+        with pytest.raises(DataError, match="the model is for a ur10e, the data are from a ur5"):
             judge(stored)
     assert len(stored.predict(replace(ur5, robot="")).effort)

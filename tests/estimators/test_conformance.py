@@ -440,7 +440,7 @@ def test_it_states_the_least_that_it_needs(case: str) -> None:
             data = known(case).take(range(2 * have if what == "poses" else have))
         words = f"{have} {what} are too few: at least {least} are needed"
         if not have and case in ("static-coulomb", "static-hysteresis"):
-            words = "do not hold the motion before"
+            words = "do not contain the motion before"
         assert words in refusal(case, data).message
 
 
@@ -460,7 +460,7 @@ def test_it_states_whether_it_needs_drive_gains(case: str) -> None:
 
 @fits_others
 def test_it_states_which_effort_it_needs_and_keeps_its_unit(case: str) -> None:
-    assert "predicts a current, the data hold a torque" in str(
+    assert "predicts a current, the data contain a torque" in str(
         refused_prediction(case, in_torques(new(case)))
     )
     if unfitted(case).needs(nominal()).effort == "current":
@@ -470,7 +470,7 @@ def test_it_states_which_effort_it_needs_and_keeps_its_unit(case: str) -> None:
     assert (model.effort_kind_, model.gains_source_) == ("torque", "")
     assert np.array_equal(model.torque_scale_, np.ones(6))
     assert model.knows_gains
-    with pytest.raises(DataError, match="predicts a torque, the data hold a current"):
+    with pytest.raises(DataError, match="predicts a torque, the data contain a current"):
         model.predict(new(case))
     # Networks and penalties see other numbers, and end elsewhere.
     if not case.startswith((*NETWORKS, "static-mlp", "static-linear lasso")):
@@ -530,7 +530,7 @@ def reversed_joints(data: Dataset) -> Dataset:
     return replace(data, joint_names=data.joint_names[::-1])
 
 
-WILD = r"wrist_1_joint cannot be: the first, -1e\+06 A in series (trajectory1|dwell3), "
+WILD = r"wrist_1_joint are impossible: the first, -1e\+06 A in series (trajectory1|dwell3), "
 NOT_FINITE = "1 values of {} are not finite, the first in row 32"
 REFUSED: Mapping[str, tuple[Callable[[Dataset], Dataset], str]] = {
     **{
@@ -545,7 +545,7 @@ REFUSED: Mapping[str, tuple[Callable[[Dataset], Dataset], str]] = {
     **{
         f"beyond everything: {column}": (
             lambda data, column=column: spoilt(data, column, 1e300),
-            f"^{column} of elbow_joint cannot be 1e\\+300 \\(row 32, series ",
+            f"^{column} of elbow_joint has the impossible value 1e\\+300 \\(row 32, series ",
         )
         for column in ("q", "qd", "effort")
     },
@@ -579,7 +579,7 @@ def test_columns_that_were_filtered_before_are_looked_at_too(case: str, column: 
     for value in (np.nan, 1e300):
         message = refusal(case, spoilt(known(case), column, value)).message
         assert column in message
-        assert "not finite" in message or "cannot be" in message
+        assert "not finite" in message or "impossible value" in message
 
 
 @pytest.mark.parametrize("case", [*IN_MOTION, "static-linear", "static-inverse"])
@@ -601,12 +601,12 @@ def test_another_kind_of_series_is_no_data(case: str) -> None:
     if case == "rigid-diffnea":
         pytest.skip("what no motion tells, its nominal arm does")
     other = moving(1, 2) if at_rest(case) else dwelling(60)
-    words = "0 (dwells|poses) are too few|motion before the dwells|determine only|to learn from"
-    assert_matches(f"{words}|too few samples fit|needs a motion", refusal(case, other))
+    words = "0 (dwells|poses) are too few|motion before the dwells|determine only|left for training"
+    assert_matches(f"{words}|too few samples agree|needs a motion", refusal(case, other))
 
 
 OTHERS: list[tuple[Callable[[Dataset], Dataset], str]] = [
-    (lambda d: replace(d, robot="ur10e"), "the model is of a ur5, the data are of a ur10e"),
+    (lambda d: replace(d, robot="ur10e"), "the model is for a ur5, the data are from a ur10e"),
     (reversed_joints, "the model is for the joints shoulder_pan_joint"),
     (of_five_joints, "the model is for the joints shoulder_pan_joint"),
     (lambda d: replace(d, gravity=(0.0, 0.0, 9.81)), "the model is for gravity"),

@@ -157,7 +157,7 @@ def test_a_robot_without_masses_gets_wide_bounds_and_a_note(tmp_path) -> None:
     path.write_text(f'<robot name="bare">{links}{joints}</robot>', "utf-8")
     bounds = InertialBounds.nominal(RobotModel.from_urdf(path))
     (note,) = bounds.notes
-    assert "gives no mass of any link" in note
+    assert "contains no mass for any link" in note
     assert bounds.mass_max == pytest.approx(2 * 60 / (9.81 * 0.3))
     assert np.min(np.linalg.eigvalsh(pseudo_inertia(bounds.reference))) > 0
     assert np.all(ReferenceCoordinates(bounds).limits @ ReferenceCoordinates(bounds).reference < 1)

@@ -99,7 +99,7 @@ def test_friction_that_grows_with_the_load_cancels_between_both_sides_only() -> 
     # From below, a raised arm holds part of its load by friction; which sign depends on the pose.
     one = calibrate_gains(below, nominal())
     assert not one.both_sides
-    assert "friction that grows with the load is part of the gains" in one.notes[0]
+    assert "load-dependent friction remains in the gains" in one.notes[0]
     assert np.max(one.gain_error[1:4] / both.gain_error[1:4]) > 2
 
 
@@ -124,7 +124,7 @@ def test_noise_in_the_current_does_not_make_gains_small() -> None:
 def test_a_joint_with_too_little_torque_against_its_friction_is_not_determined() -> None:
     found = calibrated(None, Payload(0.05, (0.0, 0.0, 0.02)), noise_a=0.2)
     assert not found.determined.any()
-    assert "too little against friction" in found.reasons[3]
+    assert "too little compared with friction" in found.reasons[3]
 
 
 @pytest.mark.parametrize("joint", [1, 5])
@@ -135,7 +135,7 @@ def test_a_negative_gain_is_not_determined_and_says_what_it_may_come_from(joint)
     found = calibrate_gains(data.with_columns(effort=effort), nominal())
     assert found.determined.tolist() == [j not in (0, joint) for j in range(6)]
     assert np.isnan(found.gain[joint])
-    assert "counts in the other direction" in found.reasons[joint]
+    assert "have the opposite sign" in found.reasons[joint]
     assert found.to_dict()["yaml"][0].count("-") == 0
 
 
@@ -171,7 +171,10 @@ def test_poses_without_a_partner_are_counted_in_a_note() -> None:
     )
     found = calibrate_gains(partial, nominal())
     assert (found.poses, found.both_sides) == (27, True)
-    assert "3 of 30 poses are left out: they were not approached from both sides" in found.notes[0]
+    assert (
+        "3 of 30 poses are not used: they were not approached from both directions"
+        in found.notes[0]
+    )
 
 
 def test_three_loads_are_all_used() -> None:
@@ -192,11 +195,11 @@ def test_yaml_lines_keep_what_was_declared_where_nothing_was_found(gains) -> Non
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (lambda: sweep(None), "at least two loads, the data have 0 kg only"),
+        (lambda: sweep(None), "at least two payloads, the data have 0 kg only"),
         (lambda: sweep(None, BESIDE, poses=4), "4 poses .* are too few"),
-        (lambda: replace(sweep(None, BESIDE), effort_kind="torque"), "the data hold a torque"),
+        (lambda: replace(sweep(None, BESIDE), effort_kind="torque"), "the data contain a torque"),
         (lambda: moved(sweep(None, BESIDE)), "0 poses .* are too few"),
-        (lambda: wild(sweep(None, BESIDE)), "1 .* of elbow_joint cannot be"),
+        (lambda: wild(sweep(None, BESIDE)), "1 .* of elbow_joint are impossible"),
     ],
 )
 def test_data_that_cannot_tell_are_refused(data, message) -> None:
@@ -247,7 +250,7 @@ def test_gains_that_depend_on_the_recording_are_told() -> None:
     current = np.where(late, 0.9 * data["effort_target"], data["effort_target"])
     notes = controller_gains(data.with_columns(effort_target=current)).notes
     assert len(notes) == 6
-    assert "elbow_joint: series by series 9.90 to 11.00" in notes[2]
+    assert "elbow_joint: the gain varies between series from 9.90 to 11.00" in notes[2]
 
 
 def test_recordings_without_the_controllers_torques_are_refused() -> None:
@@ -308,8 +311,8 @@ def run(*arguments: object):
 
 
 def test_gains_go_into_a_file_that_a_fit_takes(recording: Path, tmp_path: Path) -> None:
-    told = run("gains", recording, "-o", tmp_path / "gains.yaml")
-    assert told.startswith("method: controller, its currents and torques in 1500 samples")
+    told = run("drive-gains", recording, "-o", tmp_path / "gains.yaml")
+    assert told.startswith("method: controller (logged currents and torques in 1500 samples)")
     assert read_gains(tmp_path / "gains.yaml").values == pytest.approx(BELIEVED, rel=0.02)
     fitted = json.loads(
         run("fit", recording, "-e", "rigid-wls", "--gains", tmp_path / "gains.yaml",
@@ -320,22 +323,22 @@ def test_gains_go_into_a_file_that_a_fit_takes(recording: Path, tmp_path: Path) 
 
 
 def test_the_method_asked_for_is_the_one_used(recording: Path) -> None:
-    assert json.loads(run("gains", recording, "--json"))["method"] == "controller"
-    with pytest.raises(FitError, match="at least two loads"):
-        run("gains", recording, "--method", "known-loads")
-    with pytest.raises(SpecError, match="no way 'controler'"):
-        run("gains", recording, "--method", "controler")
+    assert json.loads(run("drive-gains", recording, "--json"))["method"] == "controller"
+    with pytest.raises(FitError, match="at least two payloads"):
+        run("drive-gains", recording, "--method", "known-loads")
+    with pytest.raises(SpecError, match="unknown method 'controler'"):
+        run("drive-gains", recording, "--method", "controler")
 
 
 def test_files_without_usable_gains_are_refused(tmp_path: Path) -> None:
     for text in ("drive_gains_nm_a: [1, -2]", "drive_gains_nm_a: 3", "other: 1"):
         (tmp_path / "g.yaml").write_text(text, "utf-8")
-        with pytest.raises(SpecError, match="no drive_gains_nm_a"):
+        with pytest.raises(SpecError, match="drive_gains_nm_a is missing"):
             read_gains(tmp_path / "g.yaml")
-    with pytest.raises(RecordingError, match="exists already"):
+    with pytest.raises(RecordingError, match="already exists"):
         write_gains(tmp_path / "g.yaml", ["drive_gains_nm_a: [1]"])
     (tmp_path / "two.yaml").write_text("drive_gains_nm_a: [1, 2]", "utf-8")
-    with pytest.raises(DataError, match="2 drive gains were given for 6 joints"):
+    with pytest.raises(DataError, match="expected 6 drive gains, one per joint, got 2"):
         read_gains(tmp_path / "two.yaml").of(moving(1))
 
 

@@ -115,7 +115,7 @@ def test_compressed_observations_give_the_same_fit_and_residuals() -> None:
 
 @pytest.mark.parametrize("rows", [0, 3])
 def test_rows_that_are_no_numbers_are_refused(rows) -> None:
-    with pytest.raises(ValueError, match=f"needs rows of finite numbers; rows: {rows}"):
+    with pytest.raises(ValueError, match=f"needs rows with finite values; rows: {rows}"):
         weighted_least_squares(np.full((rows, 2), np.nan), np.ones(rows))
 
 

@@ -333,7 +333,7 @@ def test_standard_errors_do_not_grow_with_rows_that_said_nothing_new() -> None:
 
 
 def test_a_fit_says_when_its_rows_are_too_few_for_its_filters() -> None:
-    with pytest.raises(DataError, match="too few for signals filtered at 10 Hz"):
+    with pytest.raises(DataError, match="too few for signals with a cut-off of 10 Hz"):
         estimator("rigid-wls", filters={"rate_hz": 10.0}).fit(raw(moving(1, 2)), nominal())
 
 

@@ -313,7 +313,7 @@ def test_links_that_had_to_be_as_heavy_as_they_may_be_are_told() -> None:
     tool = Payload(15.0, (0.0, 0.0, 0.1))
     data = Dataset.concatenate([undeclared(remembering(i, load=tool)) for i in (1, 2)])
     model = RigidHysteresis(friction=FEW).fit(data, nominal())
-    assert any("as heavy as they may be" in note for note in model.notes_)
+    assert any("at their upper bound" in note for note in model.notes_)
 
 
 def test_small_links_may_carry_a_tenth_of_the_arm() -> None:

@@ -244,7 +244,7 @@ def test_without_the_term_models_are_honest(data) -> None:
 
 
 def test_streaming_is_refused_for_want_of_the_current(model) -> None:
-    with pytest.raises(FitError, match="needs the measured current to predict the current"):
+    with pytest.raises(FitError, match="prediction of the current needs the measured current"):
         model.stream()
 
 
@@ -487,7 +487,7 @@ def test_short_dwells_are_used_as_they_are_and_noted() -> None:
     keep[3:10] = False
     model = StaticLinear(method="wls", weights="repeats").fit(cut(paired(), keep), nominal())
     assert model.notes_ == (
-        "1 of 120 dwells have fewer than 10 samples (the shortest 3); each is used as it is",
+        "1 of 120 dwells have fewer than 10 samples (the shortest 3); each is used unchanged",
     )
     assert np.all(np.isfinite(model.coefficients_))
 

@@ -336,7 +336,9 @@ def test_dwells_of_unknown_approach_are_left_out_of_the_fit_and_told(dwells) -> 
 
 def test_data_without_the_motion_before_the_dwells_are_refused() -> None:
     for data in (dwelling(80, both=True), replace(arriving(30), arrivals=None)):
-        with pytest.raises(FitError, match="do not hold the motion before the dwells") as refused:
+        with pytest.raises(
+            FitError, match="do not contain the motion before the dwells"
+        ) as refused:
             StaticCoulomb().fit(data, nominal())
         assert "record the moves" in refused.value.hint
 

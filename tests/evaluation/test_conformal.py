@@ -176,7 +176,7 @@ def test_a_joint_without_any_error_is_named() -> None:
 
 def test_arrays_that_do_not_go_together_are_refused() -> None:
     errors, speeds, blocks = calibration()
-    with pytest.raises(FitError, match="do not go together"):
+    with pytest.raises(FitError, match="do not match"):
         SpeedBands.calibrate(errors, speeds, blocks[:-1])
 
 

@@ -113,7 +113,7 @@ def test_the_cluster_outlives_whoever_used_it(local: Any) -> None:
 
 def test_workers_with_another_hil_are_refused(local: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hil.core.parallel.installed", lambda: "9.9.9")
-    with pytest.raises(FitError, match=r"has hil [\d.]+, and here is 9\.9\.9"):
+    with pytest.raises(FitError, match=r"has hil [\d.]+, but this computer has hil 9\.9\.9"):
         DaskCluster(local.scheduler_address)
 
 

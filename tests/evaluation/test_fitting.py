@@ -64,10 +64,12 @@ def test_stored_model_is_judged_again_to_the_same_numbers(sources, fitted) -> No
 def test_judging_a_model_on_its_training_data_is_refused(sources, fitted, tmp_path) -> None:
     copy = recording(tmp_path, 1, name="copy", late_s=100.0)
     for source in (sources[1], copy):
-        with pytest.raises(DataError, match="about 100 % of its samples are among those") as caught:
+        with pytest.raises(
+            DataError, match="about 100 % of its samples are training data"
+        ) as caught:
             hil.evaluate(fitted.fitted.folder, [sources[2], source])
         assert "1.mcap, 2.mcap" in caught.value.message
-        assert "has not seen" in caught.value.hint
+        assert "did not use" in caught.value.hint
 
 
 @pytest.mark.thorough
@@ -108,7 +110,7 @@ def test_evaluations_of_a_model_are_kept(sources, tmp_path) -> None:
 def test_damaged_evaluation_is_refused_rather_than_lost(sources, tmp_path) -> None:
     folder = hil.fit(sources[:2], estimator="rigid-wls", out=tmp_path).fitted.folder
     (folder / "evaluation.json").write_text("[1]")
-    with pytest.raises(DataError, match="is no evaluation"):
+    with pytest.raises(DataError, match="is not a valid evaluation"):
         hil.fit(sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path)
     assert (folder / "evaluation.json").read_text() == "[1]"
 
@@ -141,7 +143,7 @@ def test_same_program_on_another_arm_is_noted_but_judged(sources, tmp_path) -> N
     )
     same, new = report.validation
     (note,) = same.notes
-    assert "1 of 1 series lead through poses of the training data again" in note
+    assert "1 of 1 series pass through poses of the training data" in note
     assert new.notes == ()
 
 

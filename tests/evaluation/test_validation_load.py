@@ -133,7 +133,7 @@ def test_a_load_that_nobody_declared_is_found(
     assert result is not None
     print_under_load(json.loads(json.dumps(result.to_dict())))
     text = capsys.readouterr().out
-    assert text.startswith("with nothing declared\n")
+    assert text.startswith("with no payload declared\n")
     assert "CONTRADICTED: " in text
     assert "kg heavier than declared" in text
 
@@ -156,10 +156,10 @@ def test_what_gains_may_explain_is_neither_contradicted_nor_confirmed(
     assert 0.25 < told["mass_limit_kg"] < 0.7
     print_under_load(told)
     text = capsys.readouterr().out
-    assert "neither contradicted nor confirmed: by noise alone 0.3" in text
+    assert "neither contradicted nor confirmed. With exact drive gains: 0.3" in text
     assert "kg heavier than declared" in text
-    assert f"may explain ±{told['mass_limit_kg']:.2f} kg" in text
-    assert "agrees with it" not in text
+    assert f"can explain ±{told['mass_limit_kg']:.2f} kg" in text
+    assert "agrees with the identified load" not in text
 
 
 def test_a_load_that_does_not_show_leaves_the_other_errors(
@@ -168,14 +168,14 @@ def test_a_load_that_does_not_show_leaves_the_other_errors(
     from hil.evaluation import validation
 
     def failing(*of: Any) -> Any:
-        raise FitError("the load did not settle")
+        raise FitError("the payload estimate did not converge")
 
     monkeypatch.setattr(validation, "estimate_payload", failing)
     result = under_load(model(), loaded(), BARE)
     assert result is not None
     assert set(result.rmse) == {"unaware", "declared"}
     print_under_load(json.loads(json.dumps(result.to_dict())))
-    assert "not identified: the load did not settle" in capsys.readouterr().out
+    assert "not identified: the payload estimate did not converge" in capsys.readouterr().out
 
 
 @pytest.mark.thorough

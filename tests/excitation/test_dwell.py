@@ -143,7 +143,7 @@ def test_an_unreachable_visit_is_replaced_by_a_spare() -> None:
     )
     actions = measured(workspace, Program([lost], [spare], shuffle_seed=0))
     assert [a.pose for a in actions if a.kind == "dwell"] == [1]
-    with pytest.raises(PlanError, match="pose 0: no clear path leads there"):
+    with pytest.raises(PlanError, match="pose 0: no collision-free path leads there"):
         measured(workspace, Program([lost], [], shuffle_seed=0))
 
 
@@ -267,12 +267,12 @@ def test_all_mistakes_of_a_file_are_told_with_their_lines(tmp_path: Path) -> Non
 
 def test_a_pose_that_cannot_be_reached_is_told(tmp_path: Path) -> None:
     workspace = toy_workspace(lambda q: np.abs(q[:, 0] - 1.0) - 0.1)
-    with pytest.raises(SpecError, match=r"poses.csv:2: no clear path leads there"):
+    with pytest.raises(SpecError, match=r"poses.csv:2: no collision-free path leads there"):
         file_program(tmp_path, "0.5, 0.6\n1.4, 0.0\n", workspace)
 
 
 def test_a_pose_whose_approach_collides_is_told(tmp_path: Path) -> None:
-    with pytest.raises(SpecError, match=r"poses.csv:1: where the pose is approached from"):
+    with pytest.raises(SpecError, match=r"poses.csv:1: at the start of its approach"):
         file_program(tmp_path, "0.53, 0.1\n", toy_workspace(disc), approach="both")
 
 

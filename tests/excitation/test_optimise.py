@@ -202,7 +202,7 @@ def test_limits_that_exclude_each_other_are_refused_by_name() -> None:
 def test_a_torque_that_cannot_hold_the_arm_is_a_plan_error_that_names_the_joint() -> None:
     upright = {"q_min": [-3, -0.3, -0.3, -3, -3, -3], "q_max": [3, 0.3, 0.3, 3, 3, 3]}
     given = problem(**upright, effort_max=[100.0, 5.0, 100.0, 28.0, 28.0, 28.0])
-    with pytest.raises(PlanError, match=r"shoulder_lift_joint needs [\d.]+ N·m where 5 are"):
+    with pytest.raises(PlanError, match=r"shoulder_lift_joint needs [\d.]+ N·m, only 5 N·m are"):
         optimise(given, starts=1, seed=0, iterations=5)
 
 
@@ -210,7 +210,7 @@ def test_a_torque_that_cannot_hold_the_arm_is_a_plan_error_that_names_the_joint(
 def test_a_wall_nothing_can_keep_clear_of_is_a_plan_error_that_names_the_bodies() -> None:
     behind = Plane(point=(1.5, 0.0, 0.0), normal=(1.0, 0.0, 0.0))
     collision = CollisionModel(ROBOT.arm, Environment(walls=(behind,)))
-    with pytest.raises(PlanError, match="and wall come as near as"):
+    with pytest.raises(PlanError, match="and wall come within"):
         optimise(replace(problem(), collision=collision), starts=1, seed=0, iterations=5)
 
 
@@ -300,7 +300,7 @@ def test_what_cannot_be_done_names_the_trajectory_and_what_is_in_the_way(
 ) -> None:
     monkeypatch.setenv("HIL_CACHE", "off")
     hopeless = {"starts": 1, "budget_s": 0.1, "torque_percent": 1}
-    with pytest.raises(PlanError, match=r"trajectory 1: .* N·m where 1.5 are allowed") as error:
+    with pytest.raises(PlanError, match=r"trajectory 1: .* N·m, only 1.5 N·m are allowed") as error:
         plan_of(excitation=ASKED | {"optimise": hopeless})
     assert error.value.hint
 
@@ -379,7 +379,7 @@ def test_the_roadmap_keeps_to_the_largest_connected_part() -> None:
 
 def test_a_workspace_in_which_nothing_is_connected_is_refused() -> None:
     dust = toy_workspace(lambda q: np.where(np.abs(np.sin(40 * q)).min(axis=1) > 0.9, 0.1, -0.1))
-    with pytest.raises(PlanError, match="no clear motion leads from one pose to another"):
+    with pytest.raises(PlanError, match="no collision-free motion leads from one pose to another"):
         roadmap_in(dust)
 
 
@@ -513,7 +513,7 @@ def test_a_folder_that_cannot_be_written_to_is_told_and_no_obstacle(
     (tmp_path / "file").write_text("")
     bench = Bench(tmp_path / "file" / "cache", finder)  # noqa: F811
     assert len(bench.trajectories()) == 1
-    assert "cannot make" in bench.notes[0]
+    assert "cannot create" in bench.notes[0]
 
 
 def test_less_clearance_than_the_station_asks_for_is_refused(bench: Bench) -> None:  # noqa: F811

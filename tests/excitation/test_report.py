@@ -1,4 +1,4 @@
-"""`hil excite`: its figures against finite differences and Pinocchio, its table, page and JSON."""
+"""`hil optimise`: figures against finite differences and Pinocchio, its table, page and JSON."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def report(optimised: Path, cache: Path) -> ExcitationReport:
 
 
 def shown(*arguments: str) -> str:
-    done = CliRunner().invoke(app, ["excite", *arguments])
+    done = CliRunner().invoke(app, ["optimise", *arguments])
     assert done.exit_code == 0, done.output
     return done.stdout
 
@@ -184,7 +184,7 @@ def test_random_draws_are_appraised_without_comparison(cache: Path, tmp_path: Pa
     spec = tmp_path / "random.yaml"
     spec.write_text(SPEC.format(more="seed: 3"), "utf-8")
     text = shown(str(spec), "-o", str(tmp_path / "page.html"))
-    assert "2 trajectories, drawn at random" in text
+    assert "2 random trajectories" in text
     assert "standard errors" not in text
 
 

@@ -182,14 +182,14 @@ def test_symbols_carry_the_prefix() -> None:
 
 @pytest.mark.parametrize("prefix", ["Arm", "1st", "a-b", "", "x" * 40, "a b"])
 def test_a_prefix_that_is_no_name_in_c_is_refused(prefix) -> None:
-    with pytest.raises(SpecError, match="cannot begin the names of C functions"):
+    with pytest.raises(SpecError, match="cannot be the prefix of C function names"):
         c_source(program_of(fitted(SLIDES)), prefix)
 
 
 @pytest.mark.parametrize("prefix", ["test", "all", "stdio", "stddef", "stdint", "math", "int"])
 def test_a_prefix_that_cmake_or_c_needs_is_refused(prefix) -> None:
     assert prefix in RESERVED
-    with pytest.raises(SpecError, match="for something else"):
+    with pytest.raises(SpecError, match="is reserved by C or CMake"):
         c_source(program_of(fitted(SLIDES)), prefix)
 
 

@@ -111,5 +111,5 @@ def test_networks_that_hear_torque_are_refused() -> None:
 
 
 def test_another_number_of_joints_is_refused() -> None:
-    with pytest.raises(ValueError, match="networks of 3 joints for a robot of 6"):
+    with pytest.raises(ValueError, match="networks of 3 joints, but the robot has 6"):
         network_piece(correction(), 6)

@@ -60,13 +60,13 @@ static-hysteresis               rest   rest   rest   parts   chain     yes
 static-mlp-lm                   rest   rest   rest   parts   yes       yes
 """
 REFUSALS = {
-    "rest": ("says what an arm needs at rest", r"HandGuiding[\s\S]*--to json"),
-    "hears": ("needs the torque that a controller wants predicted", "inputs: motion"),
-    "motors": ("some of which move two joints", "--to json.*robot: tx40"),
-    "bodies": ("no links that can exist .* of a joint's largest torque they miss: .*%",
-               "rigid-lmi or rigid-hysteresis.*--unchecked"),
-    "parts": ("does not tell gravity and inertia apart", "--to json"),
-    "chain": ("is no chain of fully connected layers", "--to c .*--to onnx"),
+    "rest": ("predicts efforts at standstill", r"HandGuiding[\s\S]*--to json"),
+    "hears": ("needs the torque that the controller has to predict", "inputs: motion"),
+    "motors": ("some motors move two joints", "--to json.*robot: tx40"),
+    "bodies": ("no physically consistent links .* shares of the joint's largest torque: .*%",
+               "rigid-lmi or rigid-hysteresis.*--no-check"),
+    "parts": ("does not separate gravity and inertia", "--to json"),
+    "chain": ("is not a chain of fully connected layers", "--to c .*--to onnx"),
 }  # fmt: skip
 """Why a kind is no target: the message, and what the hint names in its place.
 
@@ -295,7 +295,7 @@ CHECKED = {
     "c": "$",  # unchecked
     "torch": "read back: largest difference",
     "onnx": "read back: largest difference",
-    "urdf": "read back, against the model: gravity and inertia",
+    "urdf": "read back and compared with the model: gravity and inertia",
     "onnx-mlp": "onnxruntime: largest difference",
     "json": "computed from the document alone|not compared: networks",
 }
@@ -341,7 +341,7 @@ def test_a_graph_is_what_small_runtimes_take(kind, to, exported) -> None:
     assert sizes == {"q": n, "qd": n, "qdd": n, "load": 10, "effort": n} | carried
     assert sum(size for _, size in json.loads(said["state"])) == state
     assert b".py" not in told.out.read_bytes()
-    counts = "its network counts samples: call it at 100 Hz" in told.notes
+    counts = "the memory of its network is in samples: call it at 100 Hz" in told.notes
     assert counts == kind.startswith("residual") == bool(said["rate_hz"])
 
 
@@ -388,7 +388,7 @@ def test_another_process_writes_the_same_bytes(to, exported, tmp_path) -> None:
     model, told, _ = exported("rigid-hysteresis every group", to)
     folder, out = save_model(model, tmp_path / "model"), tmp_path / told.out.name
     command = [sys.executable, "-m", "hil", "export", folder, "--to", to, "-o", out]
-    command += ["--unchecked"] * (to == "c")
+    command += ["--no-check"] * (to == "c")
     subprocess.run(
         command, env=os.environ | {"PYTHONHASHSEED": "1"}, check=True, capture_output=True
     )
@@ -503,18 +503,18 @@ BENT: dict[str, tuple[str, Callable[[Any], Any], str]] = {
               "hil_scale[3] = {", "hil_scale[3] = {1.001 * "),
           "the C program does not agree with the model: largest difference"),
     "urdf": ("hil.export.urdf.inertial", lambda honest: lambda body: honest(body * 1.3),
-             "misses the model's gravity and inertia by 0.3"),
+             "gravity and inertia of the URDF, read back, differ .* by 0.3"),
     "onnx-mlp": ("hil.export.onnx_mlp.chain_of",
                  lambda honest: lambda model: bent_chain(honest(model)),
-                 "the ONNX file does not agree with the model: off by"),
+                 "the ONNX file does not agree with the model: largest difference"),
     "json": ("hil.export.json_export.parameters_of",
              lambda honest: lambda model: [
                  one | {"value": 1.01 * one["value"]} for one in honest(model)],
              "differ from the model's by"),
     "torch": ("hil.export.torch_export.loaded", lambda honest: bent_step(honest),
-              "the PyTorch program does not agree with the model: off by 1"),
+              "the PyTorch program does not agree with the model: largest difference 1"),
     "onnx": ("hil.export.onnx_export.loaded", lambda honest: bent_step(honest),
-             "the ONNX graph does not agree with the model: off by 1"),
+             "the ONNX graph does not agree with the model: largest difference 1"),
 }  # fmt: skip
 """Target → something on its way, bent, and the error."""
 
@@ -558,8 +558,8 @@ def test_other_endings_than_torch_likes_and_joints_that_slide_are_noted(
 ) -> None:
     traced_once("torch", exported, monkeypatch)
     assert written("torch", tmp_path / "arm.bin").notes == (
-        "torch.export.load warns of other names than *.pt2",
-        "joints that slide: r; positions in m, efforts in N",
+        "torch.export.load warns about file names other than *.pt2",
+        "prismatic joints: r; positions in m, efforts in N",
     )
 
 
@@ -589,7 +589,7 @@ def test_without_a_compiler_only_what_is_said_to_be_unchecked_is_written(
     model = fitted(SMALL["c"])
     with pytest.raises(PluginError, match="no C compiler") as refused:
         written_as(model, tmp_path / "out", "c")
-    assert "--unchecked" in str(refused.value.hint)
+    assert "--no-check" in str(refused.value.hint)
     assert list(tmp_path.iterdir()) == []
     assert written_as(model, tmp_path / "out", "c", unchecked=True).checked == ""
     assert (tmp_path / "out" / "hil_test.c").is_file()
@@ -597,16 +597,16 @@ def test_without_a_compiler_only_what_is_said_to_be_unchecked_is_written(
 
 def test_an_option_that_is_not_taken_is_as_good_as_none(tmp_path) -> None:
     assert written("json", tmp_path / "a.json", unchecked=False, prefix=None).out.exists()
-    with pytest.raises(SpecError, match="no option --unchecked"):
+    with pytest.raises(SpecError, match="no option --no-check"):
         written("json", tmp_path / "b.json", unchecked=True)
 
 
 @pytest.mark.parametrize(
     ("out", "to", "message", "hint"),
     [
-        ("a", "matlab", "--to is 'matlab'", "json"),
-        ("a.onnx", "c", "makes a folder", "--to onnx"),
-        ("a.json", "urdf", "makes a file that ends with .urdf", "a.urdf, or with --to json"),
+        ("a", "matlab", "unknown format --to 'matlab'", "json"),
+        ("a.onnx", "c", "writes a folder", "--to onnx"),
+        ("a.json", "urdf", "writes a file that ends with .urdf", "a.urdf, or with --to json"),
         ("a.cpp", "torch", "ends with .pt2", "a.pt2"),
     ],
 )

@@ -104,11 +104,11 @@ def slow(*values: Any) -> Any:
     ("kind", "names", "reason"),
     [
         ("rigid-wls", ["elbow_joint.coulomb"], "no degrees of freedom"),
-        ("rigid-linear ridge", ["elbow_joint.coulomb"], "a penalty, or noise in the columns"),
+        ("rigid-linear ridge", ["elbow_joint.coulomb"], "by a penalty or by noise in the columns"),
         slow("rigid-lmi", ["elbow_joint.coulomb"], "std is that of least squares without them"),
-        slow("rigid-irls", ["elbow_joint.exponent"], "not in the standard errors"),
+        slow("rigid-irls", ["elbow_joint.exponent"], "not fitted by least squares"),
         slow("static-linear lasso", ["joint3.phi1", "elbow_joint.offset"], "a penalty"),
-        ("static-inverse", ["elbow_joint.square"], "left out of the fit"),
+        ("static-inverse", ["elbow_joint.square"], "excluded from the fit"),
     ],
 )
 def test_no_uncertainty_is_made_up(kind: str, names: list[str], reason: str) -> None:
@@ -193,7 +193,7 @@ def test_estimators_from_elsewhere_have_their_numbers_told_and_nothing_more(monk
     for module in (json_parameters, json_friction, json_check):
         monkeypatch.setattr(module, "RigidLinear", NotThis)
     document = document_of(fitted("rigid-linear"))
-    assert document["checked"].startswith("not compared: an estimator that this version of hil")
+    assert document["checked"].startswith("not compared: an estimator that is unknown")
     one, like = entry(document, ELBOW), entry(told("rigid-linear"), ELBOW)
     assert (one["group"], one["unit"]) == ("unknown", "")
     assert document["friction"]["law"] == "unknown"

@@ -30,9 +30,9 @@ def test_a_graph_with_what_they_lack_is_refused() -> None:
         [helper.make_node("GatherElements", ["x", "i"], ["z"])], "inner", [], []
     )
     hidden = helper.make_node("Foo", ["x"], ["y"], then_branch=inner)
-    with pytest.raises(FitError, match="lack: Foo, GatherElements"):
+    with pytest.raises(FitError, match="do not support: Foo, GatherElements"):
         require_plain(graph_of(hidden))
-    with pytest.raises(FitError, match=r"lack: ai\.onnx\.ml"):
+    with pytest.raises(FitError, match=r"do not support: ai\.onnx\.ml"):
         require_plain(graph_of(sine, more=["ai.onnx.ml"]))
 
 
@@ -51,9 +51,9 @@ def test_nothing_but_leading_rows_may_be_open(shape) -> None:
 
 def test_formats_that_are_too_new_are_refused() -> None:
     require_plain(graph_of(SINE, opset=21))
-    with pytest.raises(FitError, match="lack: opset 23"):
+    with pytest.raises(FitError, match="do not support: opset 23"):
         require_plain(graph_of(SINE, opset=23))
-    with pytest.raises(FitError, match="lack: format 11"):
+    with pytest.raises(FitError, match="do not support: format 11"):
         require_plain(graph_of(SINE, ir=11))
 
 
@@ -75,7 +75,7 @@ def test_shapes_that_data_make_are_refused(name, known, monkeypatch) -> None:
         helper.make_tensor("axis", TensorProto.INT64, [1], [0]),
         helper.make_tensor("one", TensorProto.DOUBLE, [1], [1.0]),
     ]
-    words = "not fixed: e" if known else f"lack: .*{name}"
+    words = "not fixed: e" if known else f"do not support: .*{name}"
     with pytest.raises(FitError, match=words):
         require_plain(graph_of(*made, *SUMMED, constants=constants))
 

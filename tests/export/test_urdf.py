@@ -123,14 +123,18 @@ def test_plain_pinocchio_finds_the_torques_of_the_model(kind, tmp_path) -> None:
 def test_links_nearest_to_noise_miss_it_by_no_more_than_is_told(tmp_path: Path) -> None:
     """No links that exist have just these base parameters."""
     noisy = RigidWls().fit(moving(1, noise_a=0.3), nominal())
-    with pytest.raises(FitError, match=r"no links .* come near .*wrist_2_joint \d+%") as refused:
+    with pytest.raises(
+        FitError, match=r"no physically consistent links .*wrist_2_joint \d+%"
+    ) as refused:
         export_urdf(noisy, tmp_path / "arm.urdf")
-    assert "--unchecked" in str(refused.value.hint)
+    assert "--no-check" in str(refused.value.hint)
     told = export_urdf(noisy, tmp_path / "arm.urdf", unchecked=True)
-    assert "gravity and inertia missed by " in told.checked
+    assert "gravity and inertia: error " in told.checked
     assert told.miss.rigid.max() > 0.05
     (note,) = told.found.notes
-    assert note.startswith("no links within bounds have the model's base parameters; these come")
+    assert note.startswith(
+        "no physically consistent links within the bounds have the model's base "
+    )
     assert np.all(is_consistent(told.found.inertial[:60].reshape(6, 10)))
     motions = fourier(21)[1:]
     parts = parts_of(noisy, motions)
@@ -169,10 +173,12 @@ def test_a_model_that_is_no_rigid_body_is_refused_unless_wanted(tmp_path: Path) 
             return replace(told, components=parts)
 
     odd = Odd().fit(moving(1, 2, 3), nominal())
-    with pytest.raises(FitError, match=r"largest torque they miss: .*shoulder_lift_joint \d+%"):
+    with pytest.raises(FitError, match=r"largest torque: .*shoulder_lift_joint \d+%"):
         export_urdf(odd, tmp_path / "a.urdf")
     told = export_urdf(odd, tmp_path / "a.urdf", unchecked=True)
-    assert told.checked.startswith("read back, against the model: gravity and inertia missed by ")
+    assert told.checked.startswith(
+        "read back and compared with the model: gravity and inertia: error "
+    )
     assert told.miss.rigid.max() > 0.05
     assert not told.found.exact
 
@@ -194,7 +200,7 @@ def test_friction_that_is_not_the_nearest_is_found_out(
     module, name, bent, model, tmp_path, monkeypatch
 ) -> None:
     monkeypatch.setattr(module, name, bent(getattr(module, name)))
-    with pytest.raises(FitError, match="are not those nearest to the model's: off by"):
+    with pytest.raises(FitError, match="are not the best approximation of the model's: difference"):
         export_urdf(model, tmp_path / "a.urdf")
     assert list(tmp_path.iterdir()) == []
 
@@ -253,7 +259,7 @@ def test_walls_and_ceilings_are_said_so(own: bool, exported, tmp_path: Path) -> 
     if own:
         robot = RobotModel.from_urdf(exported.out, gravity=WALL)
     told = export_urdf(RigidWls().fit(torques_of(robot), robot), tmp_path / "wall.urdf")
-    said = "URDF has no gravity: set (9.81, 0, 0) m/s2 in the base frame after loading"
+    said = "URDF does not contain gravity: set (9.81, 0, 0) m/s2 in the base frame after loading"
     assert said in told.notes
     assert said in told.out.read_text("utf-8")
     assert not [note for note in exported.notes if "gravity" in note]
@@ -300,8 +306,8 @@ def test_the_command_tells_what_is_in_the_file(
         assert told["files"] == ["robot.urdf"]
     else:
         assert "wrist_3_joint" in text
-        assert f"{exported.out}: rigid-wls, made from the built-in arm" in text
-        assert text.splitlines()[-1].startswith("  read back, against the model: gravity and in")
+        assert f"{exported.out}: rigid-wls, written from the built-in arm" in text
+        assert text.splitlines()[-1].startswith("  read back and compared with the model: gravity")
 
 
 @pytest.mark.thorough

@@ -148,7 +148,7 @@ FAULTS: Mapping[str, CanEnding] = {
     "drive off the bus": _counted("bus_off axis=3", "joint_3 (node 3)", within_s=0.3, why=SILENT),
     "master off the bus": _fails(
         "bus_off axis=master",
-        "our CAN controller has gone off the bus (bus-off)",
+        "the CAN controller of this computer is off the bus (bus-off)",
         "No axis answers",
         by="drives",
         within_s=0.4,
@@ -196,7 +196,7 @@ FAULTS: Mapping[str, CanEnding] = {
     "mode refused": _never_begins(
         "refused_mode axis=3",
         "joint_3 (node 3)",
-        "mode 8 (csp) was asked for, it shows 0",
+        "mode 8 (csp) was requested, 6061h shows 0",
         why="6061h is read before enabling",
     ),
     "mapping refused": _never_begins(
@@ -215,7 +215,7 @@ FAULTS: Mapping[str, CanEnding] = {
         "driver killed",
         "failed",
         4,
-        "the driver's process died (signal 9: Killed)",
+        "the driver process died (signal 9: Killed)",
         within_s=0.3,
         why="by hil, which tells the drives itself",
     ),

@@ -78,7 +78,7 @@ def test_a_recording_of_somebody_elses_program(lab: Path) -> None:
 
 
 def test_documents_of_commands_about_a_run_that_goes_on(lab: Path) -> None:
-    words = ["run", "specs/live.yaml", "--station", "specs/bench.yaml", "--elsewhere", "--json"]
+    words = ["run", "specs/live.yaml", "--station", "specs/bench.yaml", "--no-console", "--json"]
     process = subprocess.Popen(
         [sys.executable, "-m", "hil", *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
         text=True,

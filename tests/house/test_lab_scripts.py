@@ -56,7 +56,7 @@ def test_weekly_makes_the_first_model_champion_and_then_sees_no_change(tmp_path:
     schedule = write_schedule(tmp_path)
     first = ended("weekly_reidentification", schedule, "--home", tmp_path)
     assert first.exit_code == 0, first.output
-    assert first.stdout.splitlines()[0].startswith("ur5: v1 is champion: the first one")
+    assert first.stdout.splitlines()[0].startswith("ur5: v1 is champion: first campaign")
     assert hil.registry(tmp_path / "registry").aliases("ur5").champion == 1
     second = ended("weekly_reidentification", schedule, "--home", tmp_path)
     assert second.exit_code == 0, second.output

@@ -245,7 +245,7 @@ def test_bad_value_of_an_interleaved_file_is_named_by_file_and_line(tmp_path) ->
     lines = (folder / "q.txt").read_text().splitlines()
     lines[13] = "##"
     (folder / "q.txt").write_text("\n".join(lines))
-    with pytest.raises(DataError, match=r"sample 5: q\.txt line 14 is no number: ##"):
+    with pytest.raises(DataError, match=r"sample 5: q\.txt line 14 is not a number: ##"):
         imported(folder, layout("interleaved", INTERLEAVED), tmp_path)
 
 

@@ -50,7 +50,7 @@ def test_unknown_key_is_refused_at_its_line_with_a_guess(tmp_path) -> None:
     ("old", "new", "expected"),
     [
         ("unit: rad", "unit: A", "8:"),
-        ("unit: rad", "unit: furlong", "'furlong' is no unit of q"),
+        ("unit: rad", "unit: furlong", "'furlong' is not a unit of q"),
         ("unit: A", "unit: N·m", "is a torque, but effort_kind is current"),
         ("effort_kind: current", "effort_kind: current\ndrive_gains_nm_a: [1, 2, 3]", "needs 2"),
         ("unit: rad}", "unit: rad, scale: [1, 2, 3]}", "one value or 2"),

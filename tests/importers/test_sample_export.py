@@ -152,7 +152,7 @@ def test_of_dwells_there_is_no_map_and_it_is_told_why(tmp_path: Path) -> None:
     run = write_run(tmp_path / "runs", dwell_plan(poses=3)).path
     told = export_data(run, tmp_path / "a.csv")
     assert told["notes"] == [
-        "no map for hil import: imported rows are trajectories, and there are none",
+        "no map for hil import: imported rows must be trajectories, and the samples contain none",
     ]
     assert not (tmp_path / "a.map.yaml").exists()
     with (tmp_path / "a.csv").open(newline="") as file:
@@ -186,7 +186,7 @@ def test_slips_are_told_and_nothing_is_written(
     (tmp_path / "there" / "a.map.yaml").write_text("mine")
     slips: list[tuple[Path, Path, type[HilError], str]] = [
         (run, tmp_path / "a.parqet", DataError, "did you mean '.parquet'?"),
-        (run, tmp_path / "a", DataError, "in which format"),
+        (run, tmp_path / "a", DataError, "has no known file name extension"),
         (run, tmp_path / "a.parquet", PluginError, "pyarrow"),
         (run, tmp_path / "there" / "a.csv", RecordingError, "a.map.yaml exists already"),
         (run, tmp_path / "missing" / "a.npz", RecordingError, "No such file"),

@@ -208,7 +208,7 @@ def test_mcap_that_names_no_robot_is_refused_with_the_way_to_import(tmp_path) ->
     path = tmp_path / "foreign.mcap"
     with McapWriter(path, [topic()]) as writer:
         writer.write(STATE_TOPIC, rows(FULL))
-    with pytest.raises(DataError, match="does not say which robot") as caught:
+    with pytest.raises(DataError, match="does not describe the robot") as caught:
         load_source(path)
     assert "hil import" in caught.value.hint
 
@@ -225,5 +225,5 @@ def test_missing_source_is_refused(tmp_path) -> None:
 
 def test_damaged_plan_is_refused_with_its_file(tmp_path) -> None:
     plan = {**PLAN, "steps": [{"kind": "dwell"}]}
-    with pytest.raises(DataError, match=r"plan\.json is no plan"):
+    with pytest.raises(DataError, match=r"plan\.json is not a plan"):
         load_source(run_with(tmp_path, rows(FULL), plan=plan))

@@ -89,7 +89,7 @@ def test_a_load_is_held_too(folder, found) -> None:
 @pytest.mark.parametrize(
     ("robot", "problem"),
     [
-        ({"model": "ur10"}, "the model is of a ur5, left is a ur10"),
+        ({"model": "ur10"}, "the model is for a ur5, but left is a ur10"),
         ({"gravity_m_s2": [0, 0, 9.81]}, "left is mounted under"),
     ],
 )
@@ -102,10 +102,10 @@ def test_a_robot_that_is_another_is_refused(folder, tmp_path, robot, problem) ->
     ("arguments", "error", "problem"),
     [
         (("--robot", "lft"), SpecError, "no robot 'lft'"),
-        (("--clearance-mm", "-5"), SpecError, "cannot be kept"),
-        (("--clearance-mm", "2000"), PlanError, "2000 mm clear"),
+        (("--clearance-mm", "-5"), SpecError, "invalid clearance: -5 mm"),
+        (("--clearance-mm", "2000"), PlanError, "clearance of 2000 mm"),
         (("--near", "0,0,0"), SpecError, "3 joint angles"),
-        (("--near", "upright"), SpecError, "no pose"),
+        (("--near", "upright"), SpecError, "is not a pose"),
         (("--payload", "50"), SpecError, "rated"),
     ],
 )

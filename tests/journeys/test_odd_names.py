@@ -116,7 +116,7 @@ def places(lab: Path, tmp_path: Path) -> dict[str, Path]:
 VERBS = {
     "validate": "{spec}",
     "plan": "{spec}",
-    "excite": "{spec} --out {new}.html",
+    "optimise": "{spec} --out {new}.html",
     "runs": "--runs {runs}",
     "runs number>0": "--runs {runs}",
     "show": "{run}",
@@ -130,10 +130,10 @@ VERBS = {
     "fit -e static-wls": "{run} --out {new}",
     "evaluate": "{model} {run}",
     "payload": "{model} {run}",
-    "gains": "{run} --out {new}.yaml",
+    "drive-gains": "{run} --out {new}.yaml",
     "validate-loads": "{run}",
     "rest-pose": "{model}",
-    "export --to c": "{model} --unchecked --out {new}",
+    "export --to c": "{model} --no-check --out {new}",
     "export --to json": "{model} --out {new}.json",
     "import": "{spec} --map {spec} --out {new}.mcap",
     "drift ur5": "{run} --registry {registry} --page {new}.html",
@@ -314,7 +314,9 @@ def test_stop_is_on_every_page_beside_runs_of_any_name(
         form = {"csrf": client.app.state.settings.csrf}
         for where in stops:
             answer = client.post(f"{where}/stop", data=form, headers={"accept": "application/json"})
-            assert "does not listen" in answer.json()["error"]  # found, and its process is a test
+            assert (
+                "does not accept requests" in answer.json()["error"]
+            )  # found, and its process is a test
 
 
 @pytest.mark.thorough
@@ -327,7 +329,7 @@ def test_a_spec_of_any_name_is_checked_and_planned_from_its_form(
     form = {"csrf": client.app.state.settings.csrf, "spec": name, "do": "check"}
     answer = client.post("/start", data=form)
     assert answer.status_code == 200, answer.text[-600:]
-    assert "What it would do" in answer.text
+    assert "Planned program" in answer.text
     assert f'<option value="{escape(name)}" selected>' in answer.text
 
 

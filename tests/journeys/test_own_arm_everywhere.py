@@ -23,7 +23,7 @@ FEWER = {
     "warm_up.duration_s": "1", "fit": "[{estimator: rigid-wls}]",
     "validate": "{hold_out: {trajectories: 1}}", "accept": "{gaps_percent: {max: 1}}",
 }  # fmt: skip
-TOLD = "describes another arm than when"
+TOLD = "has changed since"
 
 ASKED = {
     "resume": "resume RUN",
@@ -31,14 +31,14 @@ ASKED = {
     "fit": "fit RUN -e rigid-wls",
     "evaluate": "evaluate OLD RUN",
     "report": "report RUN",
-    "gains": "gains RUN",
+    "drive-gains": "drive-gains RUN",
     "payload": "payload OLD RUN",
     "validate-loads": "validate-loads RUN --model OLD",
     "study": "study RUN -s inverse-dynamics",
     "drift": "drift own RUN",
     "rest-pose": "rest-pose MODEL",
     "export": "export MODEL -o out --to json",
-    "try-out": "try-out MODEL -o out",
+    "simulate": "simulate MODEL -o out",
     "models register": "models register MODEL --name other",
     "models compare": "models compare own v2 RUN",
     "models promote": "models promote own v2 --on RUN",
@@ -47,7 +47,7 @@ ASKED = {
 """Verbs that use the arm of a run or a model."""
 
 NOT_ASKED = {
-    "validate", "plan", "schema", "excite", "run", "record", "new", "explain",  # arms as they are
+    "validate", "plan", "schema", "optimise", "run", "record", "new", "explain",  # arms as they are
     "robots", "mock", "doctor", "plugins", "bench", "serve", "import",  # no run
     "runs", "show", "prune", "watch", "pause", "stop", "answer", "recover",  # a run's documents
     "figures",  # of the page as it was written
@@ -123,4 +123,4 @@ def test_so_does_the_api(lab: Path) -> None:
     ):
         with pytest.raises(DataError, match=TOLD) as refused:
             asked()
-        assert "put the original file back" in refused.value.hint
+        assert "restore the original file" in refused.value.hint

@@ -99,7 +99,7 @@ def test_a_broken_robot_leaves_the_others_alone_and_is_run_when_it_is_mended(
 
 def test_a_fleet_belongs_to_one_process(tmp_path: Path) -> None:
     folder = FleetGroup.create(tmp_path, "small", {"a": SPEC}, tmp_path / "small.yaml", "")
-    with folder.held(), pytest.raises(DataError, match="belongs to pid"), folder.held():
+    with folder.held(), pytest.raises(DataError, match="is in use by pid"), folder.held():
         pass
 
 
@@ -118,7 +118,7 @@ def test_a_hidden_folder_is_no_run_of_a_fleet(tmp_path: Path) -> None:
 def test_a_damaged_document_is_told(tmp_path: Path) -> None:
     folder = FleetGroup.create(tmp_path, "small", {"a": SPEC}, tmp_path / "small.yaml", "")
     (folder.path / "fleet.json").write_text('{"hil_fleet_run": 1, "members": [{}]}', "utf-8")
-    with pytest.raises(DataError, match="no list of robots"):
+    with pytest.raises(DataError, match="is not a list of robots"):
         FleetGroup.open(folder.path)
 
 

@@ -167,7 +167,8 @@ def test_the_first_model_is_champion_without_a_probe(robot: Robot) -> None:
     assert robot.taken.asked == ["campaign"]
     assert robot.told == ["campaign", "fit", "register", "challenge"]
     assert (told["outcome"], told["before"], told["champion"]) == ("promoted", None, "v1")
-    assert told["text"] == "v1 is champion: the first one: there are no criteria"
+
+    assert told["text"] == "v1 is champion: first campaign: there are no criteria"
     assert told["errors"] is None
     assert events(robot) == [("registered", 1), ("challenger", 1), ("promoted", 1)]
 
@@ -205,7 +206,8 @@ def test_a_change_is_identified_and_the_challenger_promoted(robot: Robot) -> Non
     assert robot.taken.asked == ["probe", "campaign", "check"]
     assert robot.told == ["probe", "drift", "campaign", "fit", "register", "check", "challenge"]
     assert (told["outcome"], told["before"], told["champion"]) == ("promoted", "v1", "v2")
-    assert told["text"].startswith("v2 is champion: friction up on J2: the challenger errs less")
+    words = "v2 is champion: friction up on J2: the challenger's error is smaller"
+    assert told["text"].startswith(words)
     assert told["errors"]["after"][1] < 0.7 * told["errors"]["before"][1]
     compared = told["decision"]["evidence"]["comparison"]
     assert len(compared["sources"]) == 3
@@ -245,7 +247,7 @@ def test_a_robot_that_is_as_it_was_is_predicted_as_it_was(
     request.getfixturevalue("unseen")
     told = robot.due(2, "campaign", **WORN_RUNS)
     assert (told["outcome"], told["champion"]) == ("kept", "v1")
-    assert "errs less: " in told["text"]
+    assert "error is smaller: " in told["text"]
     assert ", but over 2 days " in told["text"]
     evidence = told["decision"]["evidence"]
     assert evidence["comparison"]["better"] is True
@@ -273,7 +275,8 @@ def test_another_champion_is_not_the_one_that_was_to_be_compared_with(robot: Rob
     told = robot.due(2, "campaign", campaign="short campaign", **{"probe": "worn probe"})
     assert (told["outcome"], told["before"], told["champion"]) == ("kept", "v2", "v1")
     assert told["text"] == (
-        "v3 is not promoted, v1 stays: it is due: v1 has become champion meanwhile, instead of v2"
+        "v3 is not promoted, v1 stays champion: it is due: "
+        "v1 has become champion instead of v2 in the meantime"
     )
     assert events(robot)[-2:] == [("rolled-back", 1), ("kept", 3)]
 
@@ -298,7 +301,7 @@ def test_the_first_one_does_not_take_the_place_of_another_first_one(robot: Robot
     robot.meanwhile = {"campaign": promote}
     told = robot.due(0)
     assert (told["outcome"], told["before"], told["champion"]) == ("kept", None, "v1")
-    assert told["text"].endswith("the first one: v1 has become champion meanwhile")
+    assert told["text"].endswith("first campaign: v1 has become champion in the meantime")
 
 
 @pytest.mark.thorough
@@ -308,7 +311,7 @@ def test_a_challenger_that_errs_more_on_held_out_data_is_never_promoted(robot: R
     robot.due(0)
     told = robot.due(1, campaign="short campaign")
     assert (told["outcome"], told["champion"], told["challenger"]) == ("kept", "v1", "v2")
-    assert told["text"].startswith("v2 is not promoted, v1 stays: friction up on J2: ")
+    assert told["text"].startswith("v2 is not promoted, v1 stays champion: friction up on J2: ")
     assert told["decision"]["evidence"]["comparison"]["worse"] is True
     assert events(robot)[-1] == ("kept", 2)
     assert robot.registry.aliases("ur5").to_dict() == {
@@ -323,7 +326,7 @@ def test_the_first_model_has_to_meet_the_criteria(robot: Robot, missed: Run) -> 
     told = robot.due(0)
     assert (told["outcome"], told["champion"]) == ("kept", None)
     assert (
-        "1 criteria of the campaign are missed: nrmse of mean is 0.4, at most 0.3" in told["text"]
+        "1 criteria of the campaign are not met: nrmse of mean is 0.4, at most 0.3" in told["text"]
     )
     assert robot.registry.aliases("ur5").champion == 0
 
@@ -353,7 +356,7 @@ def test_the_champion_does_not_challenge_itself(robot: Robot) -> None:
     robot.due(0)
     told = robot.due(1, "campaign")
     assert (told["outcome"], told["champion"]) == ("kept", "v1")
-    assert "it is the champion itself" in told["text"]
+    assert "it is the champion already" in told["text"]
     assert events(robot) == [("registered", 1), ("challenger", 1), ("promoted", 1)]
 
 
@@ -521,7 +524,7 @@ def test_needs_that_cannot_be_are_refused(work, tmp_path) -> None:
     with pytest.raises(ValueError, match="there is no stage a"):
         run_stages(work.stages()[:2], tmp_path)
     around = [Stage("a", dict, ("b",)), Stage("b", dict, ("a",))]
-    with pytest.raises(ValueError, match="stages need each other: "):
+    with pytest.raises(ValueError, match="stages depend on each other: "):
         run_stages(around, tmp_path)
     with pytest.raises(ValueError, match="same name"):
         run_stages([Stage("a", dict), Stage("a", dict)], tmp_path)

@@ -151,7 +151,7 @@ def test_what_was_begun_too_long_ago_is_left_out(tmp_path: Path) -> None:
     loop.run_due()
     assert worker.done == [TUE]
     left = next(line for line in loop.ledger.lines if line["event"] == "missed")
-    assert (left["occasion"], left["why"]) == (MON, "begun, and not gone on with within 1d")
+    assert (left["occasion"], left["why"]) == (MON, "begun, but not resumed within 1d")
 
 
 def test_after_days_off_the_latest_is_done_once() -> None:
@@ -167,7 +167,7 @@ def test_after_days_off_the_latest_is_done_once() -> None:
         ("20261125T180000Z-probe", "20261126T060000Z-probe", 3),
     ]
     assert missed[0]["why"] == "it could not be done within 1d"
-    assert missed[1]["why"] == "20261126T120000Z-probe stands for it"
+    assert missed[1]["why"] == "20261126T120000Z-probe replaces it"
 
 
 def test_skipping_leaves_out_what_is_not_on_time() -> None:
@@ -473,7 +473,7 @@ def test_held_twice_and_released_twice_are_told() -> None:
     with pytest.raises(DataError, match="is not held"):
         release(loop.ledger, clock.now(), "")
     hold(loop.ledger, clock.now(), "tool change")
-    with pytest.raises(DataError, match="held already: tool change"):
+    with pytest.raises(DataError, match="already held: tool change"):
         hold(loop.ledger, clock.now(), "again")
 
 

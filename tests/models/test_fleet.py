@@ -290,7 +290,7 @@ def test_a_name_that_another_robot_has_is_refused(
     register_fit(replace(first, robot="arm"), registry)
     refused = register_fit(replace(other, robot="arm"), registry)
     assert (refused.registered, refused.role) == ("", "")
-    assert "is of serial a-" in refused.error
+    assert "belongs to serial number a-" in refused.error
     assert len(registry.versions("arm")) == 1
 
 
@@ -304,7 +304,7 @@ def test_fits_on_the_command_line(runs: list[Path], tmp_path: Path) -> None:
     assert [(one["robot"], one["verdict"]) for one in told] == [("a", "passed"), ("b", "passed")]
     assert all(Path(one["model"]).is_dir() and one["passed"] for one in told)
     wrong = CliRunner().invoke(app, ["fleet", "fit", *named, "-e", "rigid-wls", "--dask", "here"])
-    assert "no address of a Dask scheduler" in str(wrong.exception)
+    assert "not the address of a Dask scheduler" in str(wrong.exception)
 
 
 # Who stands out of a fleet: at the stated rate among equals, and who is really different

@@ -102,7 +102,7 @@ def test_going_back_twice_does_not_come_forward_again(registry) -> None:
         promoted(registry, number)
     assert registry.roll_back("ur5", reason="").champion == 2
     assert registry.roll_back("ur5", reason="").champion == 1
-    with pytest.raises(RegistryError, match="was no other"):
+    with pytest.raises(RegistryError, match="previous champions: none"):
         registry.roll_back("ur5", reason="")
     promoted(registry, 3)
     assert registry.roll_back("ur5", reason="", to=1).champion == 1
@@ -133,9 +133,9 @@ def test_what_was_changed_is_not_loaded(registry) -> None:
     path = registry.version("ur5", "v1").folder / "model.json"
     path.chmod(0o644)
     path.write_text(path.read_text("utf-8").replace('"samples": ', '"samples": 1'), "utf-8")
-    with pytest.raises(RegistryError, match=r"model\.json is not the file that was registered"):
+    with pytest.raises(RegistryError, match=r"model\.json was changed after its registration"):
         registry.load("ur5", "v1")
-    with pytest.raises(RegistryError, match="not the file"):
+    with pytest.raises(RegistryError, match="was changed after"):
         promoted(registry, 1)
 
 
@@ -209,7 +209,7 @@ def test_a_name_that_is_no_folder_is_refused(name: str, tmp_path: Path, folders)
 
 @pytest.mark.parametrize(
     ("which", "words"),
-    [("champion", "no champion"), ("v7", "no version 7"), ("newest", "is no version")],
+    [("champion", "no champion"), ("v7", "no version 7"), ("newest", "is not a version")],
 )
 def test_versions_that_are_not_there(which: str, words: str, registry) -> None:
     with pytest.raises(RegistryError, match=words):
@@ -219,11 +219,13 @@ def test_versions_that_are_not_there(which: str, words: str, registry) -> None:
 def test_slips_are_told(registry, tmp_path: Path) -> None:
     with pytest.raises(RegistryError) as error:
         registry.versions("ur6")
-    assert error.value.hint == "there is ur5: hil models list"  # another number, another robot
+    assert (
+        error.value.hint == "the registry has ur5: hil models list"
+    )  # another number, another robot
     with pytest.raises(RegistryError) as error:
         registry.versions("urr5")
     assert error.value.hint == "did you mean 'ur5'?"
-    with pytest.raises(DataError, match="no model folder"):
+    with pytest.raises(DataError, match="is not a model folder"):
         registry.register("ur5", tmp_path, {})
     assert not folder_of(registry.root / "ur5", 4).exists()
 
@@ -281,7 +283,7 @@ def test_a_joint_is_spoilt_if_it_errs_noticeably_more_for_sure_or_much_more(
     told = judged(np.array([1, 0.4, 1, 1, times, 1]), sure)
     assert told.better is not spoilt
     assert told.worse is spoilt
-    assert ("j5 errs" in told.words) is spoilt
+    assert ("the error of j5 is" in told.words) is spoilt
 
 
 FRESH = (11, 12, 13, 14, 15, 16)
@@ -294,7 +296,7 @@ def test_after_wear_who_learned_of_it_errs_less(champion) -> None:
     assert not told.worse
     assert told.ratio[1] < 0.6
     assert told.blocks == len(FRESH)
-    assert told.words.startswith("the challenger errs less: -")
+    assert told.words.startswith("the challenger's error is smaller: -")
     back = compare(challenger, champion, [moving(*FRESH, noise_a=NOISE_A)])
     assert back.better
 
@@ -304,7 +306,7 @@ def test_who_learned_too_little_errs_more(champion) -> None:
     told = compare(champion, few, [moving(*FRESH, noise_a=NOISE_A)])
     assert told.worse
     assert not told.better
-    assert "errs more" in told.words
+    assert "error is larger" in told.words
 
 
 @pytest.mark.thorough
@@ -324,7 +326,7 @@ def test_a_joint_that_gets_clearly_worse_is_not_outweighed(champion) -> None:
     assert told.difference < 0
     assert told.worse
     assert not told.better
-    assert told.words.startswith("wrist_2_joint errs ")
+    assert told.words.startswith("the error of wrist_2_joint is ")
     assert told.surely_more.tolist() == [False] * 4 + [True, False]
 
 
@@ -333,7 +335,7 @@ def test_who_errs_a_little_more_everywhere_is_worse() -> None:
     told = judged(1.02 * np.ones(6), difference=0.04, interval=(-0.01, 0.09))
     assert told.worse
     assert not told.better
-    assert "errs more" in told.words
+    assert "error is larger" in told.words
 
 
 def test_too_little_data_decide_nothing(champion) -> None:
@@ -353,7 +355,7 @@ def test_the_same_motion_driven_again_is_no_new_evidence(champion) -> None:
 
 def test_models_of_another_unit_are_not_compared(champion) -> None:
     other = fitted(moving(1, 2, 3, kind="torque"))
-    with pytest.raises(RegistryError, match="effort kind are current"):
+    with pytest.raises(RegistryError, match="effort kind: current and torque"):
         compare(champion, other, [moving(*FRESH)])
 
 
@@ -420,7 +422,7 @@ def test_the_better_is_promoted_and_the_way_back_is_there(promotable, sources) -
     assert "ur5: v1 is champion: there is no other champion" in first.stdout
     second = invoked(promotable, "promote", "ur5", "v2", *on(sources), "--reason", "weekly")
     assert second.exit_code == 0, second.output
-    assert "ur5: v2 is champion: weekly: the challenger errs less" in second.stdout
+    assert "ur5: v2 is champion: weekly: the challenger's error is smaller" in second.stdout
     assert "v1 is champion again" in invoked(promotable, "rollback", "ur5").stdout
     log = json.loads(invoked(promotable, "log", "ur5", "--json").stdout)["log"]
     assert [one["event"] for one in log][2:] == ["promoted", "promoted", "rolled-back"]
@@ -433,7 +435,8 @@ def test_the_worse_is_never_promoted(promotable, sources) -> None:
     for more in ([], ["--unless-worse"]):
         done = invoked(promotable, "promote", "ur5", "v1", *on(sources), *more)
         assert isinstance(done.exception, Rejected)
-        assert "v1 is not promoted, v2 stays: the challenger errs more" in done.exception.message
+        words = "v1 is not promoted, v2 stays champion: the challenger's error is larger"
+        assert words in done.exception.message
     assert Registry(promotable).aliases("ur5").champion == 2
     assert Registry(promotable).log("ur5")[-1].event == "kept"
 
@@ -442,14 +445,14 @@ def test_the_worse_is_never_promoted(promotable, sources) -> None:
 def test_criteria_are_met_or_there_is_no_promotion(promotable, sources) -> None:
     done = invoked(promotable, "promote", "ur5", "v2", *on(sources), "--max-rmse", "1e-9")
     assert isinstance(done.exception, Rejected)
-    assert "criteria are missed: rmse_raw of mean is" in done.exception.message
+    assert "criteria are not met: rmse_raw of mean is" in done.exception.message
     assert Registry(promotable).aliases("ur5").champion == 0
 
 
 def test_nobody_is_judged_on_what_it_learned_from(promotable, sources) -> None:
     done = invoked(promotable, "promote", "ur5", "v2", "--on", sources[1])
     assert isinstance(done.exception, DataError)
-    assert "was fitted to" in str(done.exception)
+    assert "training data of the model" in str(done.exception)
     unjudged = invoked(promotable, "promote", "ur5", "v2", "--max-rmse", "1")
     assert isinstance(unjudged.exception, SpecError)
 
@@ -459,7 +462,8 @@ def test_two_versions_side_by_side(promotable, sources) -> None:
     files = [sources[seed] for seed in FRESH_MOTIONS]
     done = invoked(promotable, "compare", "ur5", "v2", *files, "--with", "v1")
     assert done.exit_code == 0, done.output
-    assert "the challenger errs less" in done.stdout
+
+    assert "the challenger's error is smaller" in done.stdout
     told = json.loads(
         invoked(promotable, "compare", "ur5", "v2", *files, "--with", "v1", "--json").stdout
     )
@@ -589,14 +593,14 @@ def edit_head(home: Path) -> None:
 DAMAGES: dict[str, tuple[Damage, str]] = {
     "emptied": (keep_lines(0), "lines 1 to 4 are missing"),
     "last line deleted": (keep_lines(-1), "line 4 is missing"),
-    "last line edited": (edit_line(-1), "jsonl:4 is not the line that was written"),
+    "last line edited": (edit_line(-1), "jsonl:4 was changed: its digest is not the recorded one"),
     "cut inside the last line": (cut_inside_a_line, "line 4 is missing or truncated"),
-    "removed": (remove(LOG_FILE), "log.jsonl is missing, with its 4 lines"),
-    "removed with the view": (remove(LOG_FILE, ALIASES_FILE), "log.jsonl is missing"),
+    "removed": (remove(LOG_FILE), "log.jsonl with its 4 lines is missing"),
+    "removed with the view": (remove(LOG_FILE, ALIASES_FILE), "log.jsonl with its 4 lines is"),
     "an earlier line edited": (edit_line(1), "jsonl:3 does not follow"),
     "head removed": (remove(HEAD_FILE), "head.json is missing"),
     "head damaged": (lambda home: void((home / HEAD_FILE).write_text("{")), "cannot be read"),
-    "roles of the head edited": (edit_head, "head.json: its roles differ from those after line 4"),
+    "roles of the head edited": (edit_head, "head.json was changed: its roles differ"),
     "head of another time": (older_head, "has 4 lines but head.json records 1"),
 }
 damages = pytest.mark.parametrize(("damage", "words"), DAMAGES.values(), ids=DAMAGES)
@@ -664,7 +668,7 @@ def test_repair_brings_the_champion_back_and_keeps_the_old_files(
     last = registry.log("ur5")[-1]
     assert (last.event, last.version) == ("repaired", 2)
     assert words.split("jsonl")[-1] in last.reason
-    assert "all as they were registered" in called(home, "check")
+    assert "all unchanged since registration" in called(home, "check")
     assert registry.roll_back("ur5", reason="").champion == 1
 
 
@@ -672,8 +676,8 @@ def test_repair_brings_the_champion_back_and_keeps_the_old_files(
     ("damage", "words"),
     [
         (keep_lines(0), "lines that registered v1, v2 are missing"),
-        (keep_lines(-1), "aliases.json has champion v2, which no line leads to"),
-        (cut_inside_a_line, "aliases.json has champion v2"),
+        (keep_lines(-1), "no line leads to champion v2, as in aliases.json"),
+        (cut_inside_a_line, "no line leads to champion v2"),
         (remove(LOG_FILE), "lines that registered v1, v2 are missing"),
     ],
 )
@@ -774,7 +778,7 @@ def test_a_repair_says_what_it_does(home: Path) -> None:
     assert "intact lines: 2; versions added from folders: v2" in said
     assert "champion v2 (from head.json)" in said
     assert "damaged-" in said
-    assert "the log is sound, nothing to repair" in called(home, "repair", "ur5")
+    assert "the log is intact, nothing to repair" in called(home, "repair", "ur5")
 
 
 def test_a_repair_that_is_killed_can_be_repeated(
@@ -815,9 +819,9 @@ def lose(*numbers: int) -> Damage:
 @pytest.mark.parametrize(
     ("numbers", "words"),
     [
-        ([2], r"missing version folders .*: v0002 \(champion\)\n"),
-        ([1], r"missing version folders .*: v0001\n"),
-        ([1, 2], r"missing version folders .*: v0001, v0002 \(champion\)\n"),
+        ([2], r"version folders .* are missing: v0002 \(champion\)\n"),
+        ([1], r"version folders .* are missing: v0001\n"),
+        ([1, 2], r"version folders .* are missing: v0001, v0002 \(champion\)\n"),
     ],
 )
 @pytest.mark.parametrize("fixture", ["home", "old_home"])
@@ -853,7 +857,7 @@ def test_a_repair_takes_the_roles_from_lost_versions_and_records_them(
 ) -> None:
     lose(2)(home)
     said = " ".join(called(home, "repair", "ur5").split())
-    assert "versions lost, without a role from here on: v2" in said
+    assert "lost versions, which have no role any more: v2" in said
     assert "there is no champion: the next promotion is the first" in said
     assert f"make v1 champion again: hil models rollback ur5 --registry {home.parent}" in said
     registry = Registry(home.parent)
@@ -861,7 +865,7 @@ def test_a_repair_takes_the_roles_from_lost_versions_and_records_them(
     assert registry.aliases("ur5").to_dict() == {
         "champion": None, "challenger": None, "before": [1]
     }  # fmt: skip
-    assert "all as they were registered" in called(home, "check")
+    assert "all unchanged since registration" in called(home, "check")
     assert registry.roll_back("ur5", reason="").champion == 1
 
 
@@ -925,7 +929,7 @@ def test_a_repair_counts_the_lines_it_sets_aside(home: Path) -> None:
     (home / LOG_FILE).write_bytes(b"".join([lines[0], b"garbage\n", *lines[2:], b"torn"]))
     said = " ".join(called(home, "repair", "ur5").split())
     aside = next(home.glob("damaged-*"))
-    assert f"lines set aside: 4, not in the new log, only in {aside / LOG_FILE}" in said
+    assert f"damaged lines: 4, not in the new log, only in {aside / LOG_FILE}" in said
     assert "champion v2 (from head.json)" in said
 
 

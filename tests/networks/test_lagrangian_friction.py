@@ -193,7 +193,7 @@ def test_training_finds_the_friction_curve_it_is_shown() -> None:
     ("settings", "told"),
     [
         ({"unit": 0.0}, "unit is 0.0"),
-        ({"speed_bounds": [0.3, 0.02]}, "the first must be below"),
+        ({"speed_bounds": [0.3, 0.02]}, "the first number must be below"),
         ({"start_speed": 0.5}, "start_speed is 0.5, but must be between 0.02 and 0.3"),
         ({"hidden": [0]}, "hidden is 0"),
         ({"sign": "soft"}, "sign is 'soft'"),

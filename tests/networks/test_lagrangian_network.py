@@ -167,7 +167,7 @@ def damaged(folder, change):
 )
 def test_damaged_facts_are_refused(change, fitted, tmp_path) -> None:
     folder = damaged(save_model(fitted, tmp_path / "model"), change)
-    with pytest.raises(DataError, match=r"model\.json lacks or garbles"):
+    with pytest.raises(DataError, match=r"model\.json is damaged; missing or invalid"):
         load_model_file(folder)
 
 
@@ -193,7 +193,7 @@ def test_damaged_weights_are_refused(damage, fitted, tmp_path) -> None:
     folder.mkdir()
     for name, content in model_files(broken).items():
         (folder / name).write_bytes(content)
-    with pytest.raises(DataError, match=r"model\.json lacks or garbles"):
+    with pytest.raises(DataError, match=r"model\.json is damaged; missing or invalid"):
         load_model_file(folder)
 
 

@@ -140,7 +140,7 @@ def test_units_start_with_sums_of_variance_one() -> None:
         ([4, 2.5, 1], None, "whole"),
         ("4-1", None, "list"),
         ([4, 5, 2], None, "one output"),
-        ([4, 5, 1], ["tanh"], "2 words"),
+        ([4, 5, 1], ["tanh"], "2 entries"),
         ([4, 5, 1], ["relu", "linear"], "tanh or linear"),
     ],
 )
@@ -233,7 +233,7 @@ def test_averaging_does_not_depend_on_the_order_of_rows() -> None:
 def test_rows_whose_inputs_differ_are_not_averaged() -> None:
     X, Y, pose = repeated()
     X[:, 1] = np.random.default_rng(0).normal(size=len(X))
-    with pytest.raises(FitError, match="input 2 of 2 varies within the groups"):
+    with pytest.raises(FitError, match="input 2 of 2 is not constant within the groups"):
         train(MLP, X, Y, groups=pose, epochs=2)
     own = np.stack([repeated()[0], X])
     with pytest.raises(FitError, match="input 2 of 2"):
@@ -243,7 +243,7 @@ def test_rows_whose_inputs_differ_are_not_averaged() -> None:
 def test_validation_rows_whose_inputs_differ_are_not_averaged() -> None:
     X, Y, pose = repeated()
     astray = X + np.std(X, axis=0) * np.random.default_rng(0).normal(size=X.shape)
-    with pytest.raises(FitError, match="varies within the groups"):
+    with pytest.raises(FitError, match="is not constant within the groups"):
         train(MLP, X, Y, groups=pose, validation=(astray, Y, None, pose), epochs=2)
 
 
@@ -458,10 +458,10 @@ def bad(change):
     [
         (lambda X, Y: {"Y": np.where(Y[3] == Y, np.nan, Y)}, "2 of the training targets are NaN"),
         (lambda X, Y: {"X": np.where(X[3, 0] == X, np.inf, X)}, "1 of the training inputs"),
-        (lambda X, Y: {"X": X[:1], "Y": Y[:1]}, "too few"),
+        (lambda X, Y: {"X": X[:1], "Y": Y[:1]}, "not enough"),
         (lambda X, Y: {"groups": np.zeros(20, int)}, "1 training row"),
-        (lambda X, Y: {"X": X[:10]}, "do not go together"),
-        (lambda X, Y: {"X": X[:, :1]}, "2 inputs, the data 1"),
+        (lambda X, Y: {"X": X[:10]}, "incompatible shapes"),
+        (lambda X, Y: {"X": X[:, :1]}, "2 inputs, but the data have 1"),
         (lambda X, Y: {"groups": np.arange(3)}, "one label|groups has the shape"),
         (lambda X, Y: {"sample_weight": np.ones(3)}, "sample_weight has the shape"),
         (lambda X, Y: {"sample_weight": np.zeros(20)}, "not zero everywhere"),

@@ -89,12 +89,12 @@ def test_time_that_does_not_increase_is_told_with_its_series(kind: str, how: str
 
 @kinds
 def test_stamps_that_are_no_seconds_are_told_by_their_rate(kind: str) -> None:
-    assert "at 1e+11 Hz" in refusal(kind, scaled(recorded(1, 2), t=1e-9)).message
+    assert "sample rate of 1e+11 Hz" in refusal(kind, scaled(recorded(1, 2), t=1e-9)).message
 
 
 def test_rows_that_come_a_minute_apart_are_no_motion_to_the_usual_physics() -> None:
     data = scaled(recorded(1, 2), t=1e5)
-    with pytest.raises(DataError, match="too slow") as caught:
+    with pytest.raises(DataError, match=r"rate of .* is too low") as caught:
         unfitted("residual").set_params(base={"estimator": "rigid-hysteresis"}).fit(data, nominal())
     assert "seconds" in caught.value.hint
 

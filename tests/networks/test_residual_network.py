@@ -102,10 +102,10 @@ def test_rows_drawn_one_by_one_are_labelled_as_the_papers_protocol() -> None:
     part = np.random.default_rng(0).choice([TRAINING, VALIDATION, TEST], len(known()))
     torn = unfitted().fit(with_part(known(), part), nominal())
     assert torn.protocol == SAMPLE_SPLIT_PROTOCOL
-    assert "brought their torque into these" in " ".join(torn.notes_)
+    assert "mixed their torque into these" in " ".join(torn.notes_)
     assert len(torn.correction_.networks) == 1
     assert model().protocol == HONEST
-    assert "brought their torque" not in " ".join(model().notes_)
+    assert "mixed their torque" not in " ".join(model().notes_)
 
 
 @pytest.mark.thorough
@@ -114,7 +114,7 @@ def test_a_fitted_model_can_be_corrected() -> None:
     fitted = unfitted(base=None).fit_on(base, known(), nominal(), refit=False)
     assert fitted.base_ is base
     assert fitted.get_params()["base"]["sign_width"] == 0.02
-    assert "may have learned from" in " ".join(fitted.notes_)
+    assert "was possibly fitted to the trajectories" in " ".join(fitted.notes_)
 
 
 def _wild(data: Dataset) -> Dataset:
@@ -132,7 +132,7 @@ def _still(data: Dataset) -> Dataset:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (_wild, "cannot be"),
+        (_wild, "are impossible"),
         (_still, "never moved"),
         (lambda _: moving(1, 2, samples=40), "too few"),
     ],
@@ -145,9 +145,9 @@ def test_data_that_no_physics_would_be_fitted_to_are_not_learned_from(spoil, wor
 def test_a_model_of_another_unit_robot_or_none_cannot_be_corrected() -> None:
     base, fresh, another = model().base_, unfitted(folds=1), copy(nominal())
     another.name = "another"
-    with pytest.raises(FitError, match="predicts a current, the data hold a torque"):
+    with pytest.raises(FitError, match="predicts a current, the data contain a torque"):
         fresh.fit_on(base, moving(1, 2, kind="torque"), nominal())
-    with pytest.raises(FitError, match="for the robot model ur5, not for another"):
+    with pytest.raises(FitError, match="for the robot model ur5, but this robot is another"):
         fresh.fit_on(base, known(), another)
     with pytest.raises(FitError, match="not fitted yet"):
         fresh.fit_on(estimator("rigid-wls"), known(), nominal())
@@ -158,14 +158,14 @@ def test_recordings_of_another_rate_are_refused() -> None:
     slow = unknown().with_columns(t=2.0 * unknown()["t"])
     with pytest.raises(DataError, match="trained at 100 Hz"):
         model().predict(slow)
-    with pytest.raises(FitError, match="memory of a residual network counts samples"):
+    with pytest.raises(FitError, match="residual network needs one sample rate"):
         unfitted().fit(Dataset.concatenate([known(), slow]), nominal())
 
 
 def test_a_short_motion_of_another_rate_is_refused_beside_a_long_one() -> None:
     short = moving(11, samples=300)
     short = short.with_columns(t=2.0 * short["t"])
-    with pytest.raises(DataError, match="memory of a residual network counts samples"):
+    with pytest.raises(DataError, match="residual network needs one sample rate"):
         model().predict(Dataset.concatenate([unknown(), short]))
 
 
@@ -182,7 +182,9 @@ def test_an_arm_at_rest_may_be_sampled_at_any_rate() -> None:
 def test_torque_it_hears_is_told_beside_holding_the_last_torque() -> None:
     heard = unfitted(inputs="history", latency_s=0.03).fit(known(), nominal())
     assert heard.protocol == "honest: torque history ending at least 30 ms before"
-    assert any("holding the torque measured 30 ms before" in note for note in heard.notes_)
+    assert any(
+        "holding the torque that was measured 30 ms earlier" in note for note in heard.notes_
+    )
     with pytest.raises(FitError, match="cannot be streamed"):
         heard.stream()
 
@@ -372,7 +374,7 @@ def test_the_errors_told_are_those_of_predictions() -> None:
 # What a network that hears torque says beside the trivial observer
 
 BRIEF = {"epochs": 1, "batch_size": 64, "device": "cpu"}
-NOTE = re.compile(r"holding .* measured (.+) ms before .* error of (.+) A on .*, this model (.+)")
+NOTE = re.compile(r"holding .* measured (.+) ms earlier .* error of (.+) A on .*, this model (.+)")
 
 
 def told(data: Dataset, **changed) -> tuple[float, float, float]:

@@ -133,7 +133,7 @@ def test_an_array_of_another_shape_is_told(name) -> None:
 
 
 def test_another_sample_rate_is_refused() -> None:
-    with pytest.raises(DataError, match=r"trained at 1000 Hz.*come at 500 Hz"):
+    with pytest.raises(DataError, match=r"trained at 1000 Hz.*sample rate is 500 Hz"):
         random_network(small()).predict(replace(motions(), rate_hz=500.0))
 
 
@@ -466,7 +466,7 @@ def test_values_that_are_not_finite_are_told(name) -> None:
 
 
 def test_rows_to_stop_by_are_needed() -> None:
-    with pytest.raises(DataError, match="rows to stop by"):
+    with pytest.raises(DataError, match="rows for early stopping"):
         _with_rows(motions(), np.ones(ROWS, dtype=bool), np.zeros(ROWS, dtype=bool))
 
 

@@ -38,9 +38,9 @@ def refused(text: str, tmp_path: Path, *words: str) -> list[str]:
 def test_all_that_the_arm_cannot_do_is_told_at_once_with_places(tmp_path: Path) -> None:
     assert refused(SPEC, tmp_path) == [
         "s:6:23: excitation.max_velocity_deg_s: "
-        "6000 °/s is beyond the 180 °/s of shoulder_pan_joint",
+        "6000 °/s exceeds the limit of shoulder_pan_joint, 180 °/s",
         "s:7:14: excitation.range_deg: 2 ranges, but the ur5 has 6 joints",
-        "s:8:19: loads.0.mass_kg: 7 kg is beyond the 5 kg the ur5 is rated for",
+        "s:8:19: loads.0.mass_kg: 7 kg exceeds the rated payload of the ur5, 5 kg",
         "s:9:31: accept.rmse.unit: the limit is in Nm, but ur5 measures a current in A: "
         "give the limit in A",
     ]
@@ -50,7 +50,10 @@ def test_a_value_of_the_command_line_is_told_at_its_option(tmp_path: Path) -> No
     fine = SPEC.split("  max_velocity")[0]
     told = refused(fine, tmp_path, "--set", "excitation.max_velocity_deg_s=1e9")
     assert len(told) == 1
-    assert told[0].startswith("--set 1: excitation.max_velocity_deg_s: 1e+09 °/s is beyond the 180")
+    assert told[0].startswith(
+        "--set 1: excitation.max_velocity_deg_s: 1e+09 °/s exceeds the limit of "
+        "shoulder_pan_joint, 180"
+    )
 
 
 def test_a_spec_without_a_file_is_told_by_its_name(tmp_path: Path) -> None:
@@ -63,7 +66,7 @@ def test_a_spec_without_a_file_is_told_by_its_name(tmp_path: Path) -> None:
 def test_an_interlock_below_the_speed_is_not_to_be_raised_beyond_the_arm(tmp_path: Path) -> None:
     text = SPEC + "interlocks: [{kind: speed, limit_deg_s: 90}]\n"
     [told] = refused(text, tmp_path)
-    assert "lower that one, or raise this one as far as the arm goes" in told
+    assert "reduce that limit, or increase this one, at most to the limit of the arm" in told
 
 
 def test_a_robot_that_the_station_lacks_is_told_with_its_place(tmp_path: Path) -> None:
@@ -91,8 +94,8 @@ fit: [{estimator: static-wls}]
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("max_m: [1, 1, 0.5]", "max_m: [1, 1, 0.04]"), "leaves 40 mm on z from min_m"),
-        (("min_m: [-1, -1, 0]", "min_m: [0.98, -1, 0]"), "max_m.0: leaves 20 mm on x"),
+        (("max_m: [1, 1, 0.5]", "max_m: [1, 1, 0.04]"), "leaves 40 mm to min_m on z"),
+        (("min_m: [-1, -1, 0]", "min_m: [0.98, -1, 0]"), "max_m.0: leaves 20 mm to min_m on x"),
         (("min_m: [-1, -1, 0], max_m: [1", "min_m: [1, -1, 0], max_m: [2"), "beyond x of min_m"),
         (("fit:", "reference: {q_deg: [0, -90, 0, -90, 0, 0]}\nfit:"), "beyond z of max_m"),
         (("waypoints: 24", "file: p.csv, file_unit: deg"), "p.csv:2: the flange is 501.1 mm"),
@@ -117,5 +120,5 @@ def test_poses_too_near_to_a_side_are_refused_with_every_way_out(tmp_path: Path)
     assert isinstance(error, SpecError)
     assert error.hint == (
         "change these values, or move that side of the workspace interlock outwards, "
-        "or lower the station's clearance_m, or take another robot"
+        "or lower the station's clearance_m, or choose a different robot"
     )

@@ -261,7 +261,7 @@ def test_a_current_pose_too_close_to_something_is_refused_with_figures() -> None
 def test_a_current_pose_that_nothing_leads_away_from_is_refused() -> None:
     # The wrist is folded to the far side of the forearm, a turn away from everything else.
     start = np.radians([0, -90, 90, 160, -90, 0])
-    with pytest.raises(PlanError, match="no clear path leads from it to the poses"):
+    with pytest.raises(PlanError, match="no collision-free path leads from it to the poses"):
         build_plan(spec_of(), ur5(), start_q=start)
 
 
@@ -284,12 +284,13 @@ def test_limits_beyond_the_robots_are_all_told_with_figures() -> None:
             loads=[{"mass_kg": 7}],
         )
     assert error.value.message.splitlines() == [
-        "excitation.max_velocity_deg_s: 200 °/s is beyond the 180 °/s of shoulder_pan_joint",
-        "excitation.max_acceleration_deg_s2: 900 °/s² is beyond the 800 °/s² of shoulder_pan_joint",
-        "excitation.range_deg.5: -400° is beyond the -360° to 360° of wrist_3_joint",
-        "excitation.range_deg.5: 400° is beyond the -360° to 360° of wrist_3_joint",
+        "excitation.max_velocity_deg_s: 200 °/s exceeds the limit of shoulder_pan_joint, 180 °/s",
+        "excitation.max_acceleration_deg_s2: 900 °/s² exceeds the limit of shoulder_pan_joint, "
+        "800 °/s²",
+        "excitation.range_deg.5: -400° is outside the range of wrist_3_joint, -360° to 360°",
+        "excitation.range_deg.5: 400° is outside the range of wrist_3_joint, -360° to 360°",
         "reference.q_deg: 3 angles, but the ur5 has 6 joints",
-        "loads.0.mass_kg: 7 kg is beyond the 5 kg the ur5 is rated for",
+        "loads.0.mass_kg: 7 kg exceeds the rated payload of the ur5, 5 kg",
     ]
 
 
@@ -360,7 +361,7 @@ def test_a_start_nearer_than_the_clearance_names_it_and_no_interlock() -> None:
 
 
 def test_a_robot_without_collision_bodies_is_not_moved() -> None:
-    with pytest.raises(PlanError, match="without collision bodies") as error:
+    with pytest.raises(PlanError, match="collision bodies are unknown") as error:
         plan_of(ur5("somewhere/arm.urdf"))
     assert "ur5" in error.value.hint
 

@@ -121,7 +121,7 @@ def test_the_plan_that_was_changed_is_another_one():
 
 
 def test_nothing_to_measure_is_refused():
-    with pytest.raises(PlanError, match="nothing is measured"):
+    with pytest.raises(PlanError, match="nothing would be measured"):
         Commissioning(first_s=0.01).of(dwells(3))
 
 
@@ -249,7 +249,7 @@ def test_a_commissioning_plan_is_not_blamed_for_what_only_a_fit_needs():
 @pytest.mark.usefixtures("plans_once")
 @pytest.mark.thorough
 def test_plan_shows_exactly_what_the_run_with_the_same_options_does(tmp_path):
-    options = ("--speed", "50%", "--first", "2", "--set", "excitation.seed=5")
+    options = ("--speed-scale", "50%", "--limit", "2", "--set", "excitation.seed=5")
     picture = ("--picture", tmp_path / "plan.svg")
     planned = json.loads(hil("plan", DWELL, *options, *picture, "--json").stdout)
     done = hil("run", DWELL, *options, "--runs", tmp_path)
@@ -262,7 +262,7 @@ def test_plan_shows_exactly_what_the_run_with_the_same_options_does(tmp_path):
 
 @pytest.mark.thorough
 def test_time_ranges_and_boxes_are_printed_before_anything_moves(tmp_path):
-    said = hil("run", DWELL, "--speed", "50%", "--first", "1", "--runs", tmp_path).stderr
+    said = hil("run", DWELL, "--speed-scale", "50%", "--limit", "1", "--runs", tmp_path).stderr
     (plan,) = tmp_path.glob("*/ur5/*/plan.json")
     expected = swept(read_plan(plan), load_arm("ur5")).lines()
     lines = [line.strip() for line in said.splitlines()]
@@ -274,7 +274,7 @@ def test_time_ranges_and_boxes_are_printed_before_anything_moves(tmp_path):
 
 @pytest.mark.thorough
 def test_plan_prints_ranges_and_boxes(tmp_path):
-    said = hil("plan", DWELL, "--speed", "50%", "--picture", tmp_path / "plan.svg").stdout
+    said = hil("plan", DWELL, "--speed-scale", "50%", "--picture", tmp_path / "plan.svg").stdout
     names = {line.split("  ")[0] for line in said.splitlines()}
     assert {"duration", "elbow_joint", "flange x", "flange z", "elbow y"} <= names
 
@@ -282,7 +282,7 @@ def test_plan_prints_ranges_and_boxes(tmp_path):
 @pytest.mark.thorough
 def test_a_commissioning_run_says_so_and_is_not_judged(tmp_path):
     asked = ("run", DWELL, "--runs", tmp_path, "--json")
-    done = hil(*asked, "--speed", "50%", "--first", "2")
+    done = hil(*asked, "--speed-scale", "50%", "--limit", "2")
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
     assert (said["outcome"], said["verdict"]) == ("completed", "not judged")
@@ -292,9 +292,10 @@ def test_a_commissioning_run_says_so_and_is_not_judged(tmp_path):
     assert part in Path(said["report"]).read_text()
     shown = " ".join(hil("show", said["run"]).stdout.split())
     assert (
-        f"It is of a commissioning run, {part}: such runs are neither fitted nor judged." in shown
+        f"This is a commissioning run ({part}); commissioning runs are neither fitted nor judged."
+        in shown
     )
-    assert shown.endswith(f"next: hil run {DWELL} --speed 50%")
+    assert shown.endswith(f"next: hil run {DWELL} --speed-scale 50%")
     assert "hil fit" not in shown
     rows = read_topic(Path(said["run"]) / "recording" / "00.mcap")
     assert np.abs(rows["qd_target"]).max() <= np.radians(60) * 0.5 + 1e-6

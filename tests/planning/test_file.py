@@ -98,7 +98,11 @@ def test_any_bytes_are_refused(content: bytes) -> None:
         (("steps", 1, "kind"), "dance", "steps.1.kind:"),
         (("steps", 1, "motion", "goal_rad", 0), "x", "steps.1.motion.goal_rad.0: Input should be"),
         (("steps", 1, "motion", "goal_rad"), [0.0], "steps.1.motion.goal_rad: has 1 entries for 2"),
-        (("steps", 1, "motion", "goal_rad", 0), 1e9, "steps.1.motion.kind: it would take longer"),
+        (
+            ("steps", 1, "motion", "goal_rad", 0),
+            1e9,
+            "steps.1.motion.kind: the motion would take longer",
+        ),
         (("steps", 1, "motion", "kind"), "spline", "steps.1.motion"),
         (("steps", 1, "surprise"), 1, "steps.1.surprise:"),
         (("loads", 0, "mass_kg"), -1.0, "loads.0.mass_kg:"),

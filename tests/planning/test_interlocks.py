@@ -59,7 +59,7 @@ def test_a_motion_outside_the_workspace_is_refused_with_step_and_by_how_much() -
 def test_a_plan_that_comes_closer_than_the_clearance_interlock_allows_is_refused() -> None:
     closest = usual_plan().margins["clearance_m"]
     plan_of(interlocks=[{"kind": "clearance", "least_m": closest - 0.001}])
-    with pytest.raises(PlanError, match="the plan itself comes as close as"):
+    with pytest.raises(PlanError, match="smallest distance of the plan to an obstacle"):
         plan_of(interlocks=[{"kind": "clearance", "least_m": closest + 0.001}])
 
 

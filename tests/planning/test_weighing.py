@@ -157,8 +157,8 @@ def test_weighing_can_be_switched_off(off: object) -> None:
 @pytest.mark.parametrize(
     ("loads", "reason"),
     [
-        ([{}], "no two loads"),
-        ([CYLINDER, CYLINDER], "no two loads"),
+        ([{}], "the same mass"),
+        ([CYLINDER, CYLINDER], "the same mass"),
         ([CYLINDER, {}], "not the lightest"),
     ],
 )
@@ -213,7 +213,7 @@ def test_weighing_is_no_part_of_what_is_measured() -> None:
 def test_a_sweep_that_is_not_weighed_is_warned_of() -> None:
     assert not any("weighed" in warning for warning in preview(plan()).warnings)
     (*_, warning) = preview(sweep(CYLINDER, {})).warnings
-    assert warning.startswith("no load is weighed: the first load")
+    assert warning.startswith("no payload check: the first load")
 
 
 # The key `weigh`: on by default, off in three spellings, nothing else under it

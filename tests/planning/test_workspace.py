@@ -166,7 +166,7 @@ def test_boxes_that_leave_nothing_between_them_are_refused() -> None:
             {"kind": "workspace", "max_m": [0.33, 1, 1]},
         ]
     )
-    assert "interlocks.1.max_m.0: leaves 30 mm on x" in error.message
+    assert "interlocks.1.max_m.0: leaves 30 mm to min_m on x" in error.message
 
 
 def test_too_small_a_box_names_poses_side_and_excess() -> None:
@@ -250,7 +250,8 @@ def test_the_hint_for_poses_too_near_to_a_side_names_every_way_out(
         excitation={"kind": "dwell", "file": str(file), "file_unit": "deg"},
         interlocks=[box([-2, -2, -1], [2, 2, top_m])],
     )
-    assert error.hint.startswith("mend or drop these poses, or move that side of the workspace")
+    words = "correct or remove these poses, or move that side of the workspace"
+    assert error.hint.startswith(words)
     assert ("or lower the station's clearance_m" in error.hint) is lower
 
 
@@ -285,7 +286,8 @@ def test_a_way_that_is_missing_names_both_poses_and_the_side() -> None:
         pose_visit(workspace, np.array(q), "free", 0.05, label=f"pose {i}", pose=i)
         for i, q in enumerate([(0.0, 0.1), (1.4, 0.0)])
     ]
-    with pytest.raises(PlanError, match="pose 1: no clear path leads there from pose 0; on the"):
+    words = "pose 1: no collision-free path leads there from pose 0; on the"
+    with pytest.raises(PlanError, match=words):
         list(Arrangement(roadmap, every=9).measure(Program(visits), roadmap.home))
 
 
@@ -317,7 +319,8 @@ def test_a_confined_program_is_planned_in_the_room_of_its_poses() -> None:
 def test_a_robot_in_another_room_of_the_box_than_the_program_names_the_side() -> None:
     workspace = toy_workspace(space=TwoRooms())
     roadmap = roadmap_of(workspace, wanted=SMALL_ROOM[None], start=LARGE_ROOM)
-    with pytest.raises(PlanError, match=r"no clear path leads from it .* x of max_m") as caught:
+    words = r"no collision-free path leads from it .* x of max_m"
+    with pytest.raises(PlanError, match=words) as caught:
         checked_start(LARGE_ROOM, roadmap)
     assert "move that side of the workspace interlock" in caught.value.hint
 
@@ -336,7 +339,8 @@ def test_a_warm_up_without_room_says_what_is_in_the_way() -> None:
     workspace = corridor()
     roadmap = Roadmap(workspace, roomy_poses(workspace, 16, seed=0))
     roadmap.poses = np.array([[1.4, 1.4], [1.3, 1.4]])
-    with pytest.raises(PlanError, match=r"no room for a warm-up .*mm beyond x of max_m") as caught:
+    words = r"no collision-free warm-up .*mm beyond x of max_m"
+    with pytest.raises(PlanError, match=words) as caught:
         Arrangement(roadmap).warm_up(np.array([0.0, 0.0]), 5.0)
     assert "move that side" in caught.value.hint
 

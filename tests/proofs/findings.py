@@ -115,7 +115,7 @@ def commissioning(folder: Path) -> str:
         at_mock = f"address: {mock.address}, watchdog_hz: 0.2, late_s: 5.0, lag_s: 1.0"
         station = tutorial_file("station.yaml").replace("address: 192.168.0.5", at_mock)
         (folder / "station.yaml").write_text(station)
-        options = ("--station", "station.yaml", "--speed", "10%", "--first", "3")
+        options = ("--station", "station.yaml", "--speed-scale", "10%", "--limit", "3")
         done = hil("run", "first.yaml", *options, cwd=folder)
     assert done.returncode == 0, done.stderr
     before, begins, _ = done.stderr.partition("running first-ur5")
@@ -154,7 +154,7 @@ def typing(answer: str, *arguments: object, cwd: Path, **env: str) -> tuple[int,
     with contextlib.suppress(OSError):  # the process has ended, and its terminal with it
         while select.select([terminal], [], [], 300.0)[0] and (text := os.read(terminal, 65536)):
             shown += text
-            if not asked and b" to move, Enter" in shown:
+            if not asked and b" to move this robot" in shown:
                 asked = os.write(terminal, answer.encode()) > 0
     os.close(terminal)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), shown.decode(errors="replace")
@@ -454,7 +454,7 @@ def programs_that_must_fail(folder: Path) -> str:
     for verb in ("validate", "plan", "run"):
         line = refused("10 dwells are too few: at least 16", verb, spec)
     assert sorted(path.name for path in folder.iterdir()) == ["six.yaml"], "something was written"
-    done = hil("run", spec, "--first", 2, "--json", cwd=folder)
+    done = hil("run", spec, "--limit", 2, "--json", cwd=folder)
     assert done.returncode == 0, f"a commissioning run is refused: {done.stderr}"
 
     arm = (REPOSITORY / "hil" / "arms" / "ur5.yaml").read_text("utf-8")
@@ -938,7 +938,7 @@ def _mock_behind(folder: Path) -> str:
             time.sleep(2.0)
             mock.send_signal(signal.SIGCONT)
             time.sleep(0.2)
-        asked = ("mock", "ur", "tell", "--address", address, "state")
+        asked = ("mock", "ur", "send", "--address", address, "state")
         state = json.loads(hil(*asked, cwd=folder).stdout)
     finally:
         mock.terminate()

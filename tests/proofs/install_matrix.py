@@ -145,7 +145,7 @@ def matrix(sets: list[str], versions: list[str], folder: Path) -> dict[tuple[str
             elif python is None:
                 cells[name, version] = Cell("no interpreter")
             elif name == "learn" and only_cuda(python):
-                cells[name, version] = Cell("not tried: only CUDA builds at hand")
+                cells[name, version] = Cell("not tested: only CUDA builds available")
             else:
                 cells[name, version] = try_out(python, SETS[name], wheel, place)
                 shutil.rmtree(place)

@@ -23,7 +23,7 @@ def test_compensation_halves_the_effort_of_the_hand(tmp_path, arm, seed) -> None
         f"  arm: {{driver: mock, model: {arm}, options: {{seed: {seed}}}}}\n"
     )
     folder = of_arm(arm, seed).save(tmp_path / "model")
-    trial = hil.try_out(folder, tmp_path / "out", station=station, robot="arm")
+    trial = hil.simulate(folder, tmp_path / "out", station=station, robot="arm")
     assert [criterion.name for criterion in judged(trial) if not criterion.met] == []
     for over in (try_out.NOTHING, try_out.DATASHEET, try_out.GRAVITY):
         assert np.all(relief(trial, try_out.FRICTION, over) <= HALF)

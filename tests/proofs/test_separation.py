@@ -75,7 +75,7 @@ def test_the_layout_of_the_paper_has_the_least_training_error(found: StudyResult
 def test_the_paper_protocol_is_as_good_for_friction_without_any_rule(found: StudyResult) -> None:
     split = column(found, "table-split", "mean")
     printed = split["samples held out, as in the paper"]
-    dealt = split["friction dealt out among the poses, samples held out"]
+    dealt = split["friction permuted among the poses, samples held out"]
     assert dealt == pytest.approx(printed, rel=0.1)
     assert split["whole poses held out"] > 5 * printed
 
@@ -88,7 +88,7 @@ def test_honestly_ours_is_twice_below_gravity_and_1_3_times_below_coulomb(
     assert mean["gravity by WLS, shared"] > 2 * ours
     assert mean["gravity + Fc·sign(approach)"] > 1.3 * ours
     assert mean["gravity + network of q2…q5, approach"] > ours
-    assert ours > mean["noise of a dwell's mean"]
+    assert ours > mean["noise of the mean of a dwell"]
 
 
 def test_ours_says_how_wrong_it_can_be(found: StudyResult) -> None:

@@ -30,7 +30,7 @@ def test_wear_of_one_joint_is_found_and_mended_while_the_room_changes_as_much(
     page, what = render_simulation(tmp_path), found(told)
     print(*what.sentences, page.stat().st_size, "bytes of page")  # noqa: T201 - make proof shows it
     missed = {one.asked for one in what.criteria if not one.met}
-    assert missed <= {"no probe without a change calls the robot changed"}
+    assert missed <= {"no probe without a change reports a change"}
     assert len(told["occasions"]) == 13
     assert what.promoted == (0.0, 6.0)
     # Eleven probes with a false alarm rate of 1 % at most: two happen once in two hundred times.

@@ -46,7 +46,7 @@ def test_two_runs_of_one_number_need_the_path(runs: Path) -> None:
     (runs / "2026-11-21" / "ur10" / "0042-copy").mkdir(parents=True)
     with pytest.raises(DataError, match="2 runs are called 42") as caught:
         find_run("42", runs)
-    assert caught.value.hint == "give the path"
+    assert caught.value.hint == "use the path"
 
 
 def test_the_recording_of_a_run_leads_to_its_run(runs: Path) -> None:

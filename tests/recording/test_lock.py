@@ -61,7 +61,7 @@ def test_asking_makes_no_file(tmp_path: Path) -> None:
 def test_nobody_holds_a_run_twice(tmp_path: Path) -> None:
     with (
         hold_run(tmp_path),
-        pytest.raises(DataError, match=f"is live: it belongs to pid {os.getpid()}") as caught,
+        pytest.raises(DataError, match=f"is active: it belongs to pid {os.getpid()}") as caught,
         hold_run(tmp_path),
     ):
         pass

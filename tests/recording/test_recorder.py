@@ -156,7 +156,7 @@ def test_a_full_disk_surfaces_in_the_next_put_and_keeps_what_was_flushed(tmp_pat
     recorder.put(STATE_TOPIC, rows[10:])
     with pytest.raises(RecordingError, match="No space left on device") as caught:
         until(lambda: recorder.put(STATE_TOPIC, rows[:0]))
-    assert "free the disk" in caught.value.hint
+    assert "free space on the disk" in caught.value.hint
     with pytest.raises(RecordingError, match="No space left on device"):
         recorder.close()
     assert read_topic(writer.partial_path, salvage=True).tobytes()[: rows[:10].nbytes] == (

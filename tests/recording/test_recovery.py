@@ -146,7 +146,7 @@ def test_report_counts_what_is_kept_per_topic_and_what_is_lost(torn: Path) -> No
     assert document["lost_bytes"] == size - tear
     words = "\n".join(recovery.to_lines())
     assert f"{len(salvaged)} messages of /robot/state" in words
-    assert f"{size - tear} bytes behind the tear" in words
+    assert f"{size - tear} bytes after the tear" in words
 
 
 def test_whole_file_is_said_to_be_whole_and_left_as_it_is(
@@ -156,7 +156,7 @@ def test_whole_file_is_said_to_be_whole_and_left_as_it_is(
     path.write_bytes(whole[1])
     recovery = recover_file(path)
     assert recovery.did == "nothing"
-    assert "is whole" in recovery.to_lines()[0]
+    assert "is undamaged" in recovery.to_lines()[0]
     assert [file.name for file in tmp_path.iterdir()] == ["00.mcap"]
     assert path.read_bytes() == whole[1]
 
@@ -278,7 +278,7 @@ def test_file_without_one_whole_message_has_nothing_to_rescue(
 ) -> None:
     path = tmp_path / "00.mcap.partial"
     path.write_bytes(whole[1][:700])
-    with pytest.raises(DataError, match="nothing to rescue"):
+    with pytest.raises(DataError, match="contains no message that can be recovered"):
         recover_file(path)
     assert [file.name for file in tmp_path.iterdir()] == ["00.mcap.partial"]
 
@@ -290,7 +290,7 @@ def test_messages_of_a_channel_that_is_nowhere_defined_any_more_are_counted_as_l
     foreign(path)
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
     flip(path, chunk_at(path, 0).offset + 100)
-    with pytest.raises(DataError, match="messages of which nothing says what they are"):
+    with pytest.raises(DataError, match="messages without a channel definition"):
         recover_file(path)
 
 
@@ -330,7 +330,7 @@ def test_other_file_of_the_final_name_is_never_replaced(torn: Path) -> None:
     record_state(torn.with_name("other.mcap"), 8)
     torn.with_name("other.mcap").rename(final)
     torn_bytes, final_bytes = torn.read_bytes(), final.read_bytes()
-    with pytest.raises(DataError, match="holds something else"):
+    with pytest.raises(DataError, match="with different content"):
         recover_file(torn)
     assert (torn.read_bytes(), final.read_bytes()) == (torn_bytes, final_bytes)
 
@@ -394,7 +394,7 @@ def test_file_that_reads_back_different_is_not_kept(
         add(self, channel, log, data[:-1] + b"!", *rest)
 
     monkeypatch.setattr(Writer, "add_message", forgetful)
-    with pytest.raises(RecordingError, match="reads back different"):
+    with pytest.raises(RecordingError, match="differs from the written data"):
         recover_file(torn)
     assert [path.name for path in torn.parent.iterdir()] == ["00.mcap.partial"]
 
@@ -482,7 +482,7 @@ def test_one_hopeless_recording_does_not_keep_the_others_from_being_recovered(
     result = recover(run)
     assert [file.path.name for file in result.files] == ["01.mcap.partial"]
     assert [path.name for path, _ in result.problems] == ["00.mcap.partial"]
-    assert "nothing to rescue" in str(result.error)
+    assert "contains no message that can be recovered" in str(result.error)
 
 
 @pytest.mark.parametrize("discard", [False, True])
@@ -502,7 +502,7 @@ def test_live_run_is_refused(tmp_path: Path, whole: tuple[StructArray, bytes]) -
     run = a_run(tmp_path, {"00.mcap.partial": whole[1][:-9]})
     with hold_run(run):
         for source in (run, run / "recording" / "00.mcap.partial"):
-            with pytest.raises(DataError, match="is running"):
+            with pytest.raises(DataError, match="is active"):
                 recover(source)
     assert (run / "recording" / "00.mcap.partial").exists()
 
@@ -527,7 +527,7 @@ def test_command_tells_in_words_and_in_json(
     assert document["problems"] == []
     assert document["files"][0]["did"] == "rebuilt"
     again = CliRunner().invoke(app, ["recover", str(run)])
-    assert (again.exit_code, "no torn or damaged recording" in again.output) == (0, True)
+    assert (again.exit_code, "no truncated or damaged recording" in again.output) == (0, True)
 
 
 def test_refusal_to_read_a_torn_file_names_the_command(torn: Path) -> None:
@@ -569,8 +569,8 @@ def test_a_finished_file_of_which_nothing_is_left_is_a_problem(tmp_path: Path) -
     run = cut_run(tmp_path, b"")
     ((path, error),) = recover(run.path).problems
     assert path == run.part_path(0)
-    assert "is not an MCAP file" in error.message
-    assert "take it from a copy" in error.hint
+    assert "is no longer an MCAP file" in error.message
+    assert "restore it from a backup" in error.hint
 
 
 def test_a_finished_file_that_is_damaged_in_its_middle_is_recovered_too(
@@ -605,8 +605,8 @@ def test_a_run_whose_recording_lost_its_beginning_is_told_the_same_by_all(
     with pytest.raises(DataError) as caught:
         read_topic(run.part_path(0))
     assert (caught.value.message, caught.value.hint) == (error.message, error.hint)
-    assert "its beginning is lost" in error.message
-    assert error.hint.endswith("take it from a copy; usable by itself is 01.mcap beside it")
+    assert "its first bytes are lost" in error.message
+    assert error.hint.endswith("; these recordings of the run are usable: 01.mcap")
     (warning,) = torn_in_words(run)
     assert error.hint in warning
     assert "hil recover" not in warning
@@ -663,7 +663,7 @@ def test_run_killed_before_its_first_flush_recovers_to_an_empty_recording(
 ) -> None:
     told = CliRunner().invoke(app, ["recover", str(run.path)])
     assert told.exit_code == 0, told.output
-    assert "the kill came before its first samples reached it" in told.output
+    assert "the process was killed before it wrote samples" in told.output
     (whole,) = run.recordings
     info = read_info(whole)
     assert (whole.name, info.complete) == ("00.mcap", True)
@@ -712,7 +712,7 @@ def test_file_by_itself_without_a_message_has_nothing_to_rescue(
     empty: Path, tmp_path: Path
 ) -> None:
     alone = empty.rename(tmp_path / "00.mcap.partial")
-    with pytest.raises(DataError, match="nothing to rescue"):
+    with pytest.raises(DataError, match="contains no message that can be recovered"):
         recover(alone)
 
 
@@ -772,7 +772,7 @@ def test_part_whose_samples_are_there_but_spoilt_is_not_called_empty(
     spoil(content, chunks[0])  # type: ignore[operator]
     empty.write_bytes(content)
     result = recover(run.path, discard=True)
-    assert "nothing to rescue" in str(result.error)
+    assert "contains no message that can be recovered" in str(result.error)
     assert empty.read_bytes() == content
 
 
@@ -802,7 +802,9 @@ def test_recording_that_goes_on_is_refused_and_loses_nothing(tmp_path: Path, dis
         recorder.put(STATE_TOPIC, WRITTEN[:100])
         while recorder.backlog:
             time.sleep(0.002)
-        with pytest.raises(DataError, match=r"x.mcap.partial is not torn: it is being written"):
+        with pytest.raises(
+            DataError, match=r"x.mcap.partial is being written or recovered by another process"
+        ):
             recover(tmp_path / "x.mcap.partial", discard=discard)
         recorder.put(STATE_TOPIC, WRITTEN[100:])
     assert [path.name for path in tmp_path.iterdir()] == ["x.mcap"]
@@ -1214,7 +1216,7 @@ def test_damaged_summary_is_refused_and_the_rows_are_saved_from_the_chunks(
     path = tmp_path / "00.mcap"
     where = content.rindex(b"float64[6] qd_target")
     path.write_bytes(content[:where] + b"float64[6] xx_target" + content[where + 20 :])
-    with pytest.raises(DataError, match="its summary is damaged"):
+    with pytest.raises(DataError, match="the summary is damaged"):
         read_topic(path)
     salvaged = read_topic(path, salvage=True)
     assert salvaged.dtype == rows.dtype

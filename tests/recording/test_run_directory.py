@@ -99,7 +99,7 @@ def test_a_place_where_no_run_can_be_is_not_blamed_on_a_full_disk(tmp_path: Path
     (tmp_path / "runs").write_text("")
     with pytest.raises(RecordingError, match="cannot create a run directory") as error:
         RunDirectory.create(tmp_path / "runs", "ur5", "demo")
-    assert error.value.hint == "choose another place with --runs DIR"
+    assert error.value.hint == "choose a different folder with --runs DIR"
 
 
 @pytest.mark.thorough
@@ -276,7 +276,7 @@ def test_documents_come_back_and_are_never_rewritten(tmp_path: Path) -> None:
         lambda: run.write_json("plan.json", {}),
         lambda: run.write_start({}),
     ):
-        with pytest.raises(RecordingError, match="no file of a run is rewritten"):
+        with pytest.raises(RecordingError, match="files of a run are never overwritten"):
             write()
     assert (run.path / "spec.yaml").read_text() == "hil: 1\n"
 
@@ -285,7 +285,7 @@ def test_a_second_verdict_is_refused_and_leaves_the_report(tmp_path: Path) -> No
     run = started(tmp_path)
     run.write_verdict({"passed": True})
     (run.path / "report.html").write_text("passed")
-    with pytest.raises(RecordingError, match="no file of a run is rewritten"):
+    with pytest.raises(RecordingError, match="files of a run are never overwritten"):
         run.write_verdict({"passed": False})
     assert (run.path / "report.html").read_text() == "passed"
 
@@ -347,7 +347,7 @@ def test_every_attempt_gets_a_recording_of_its_own(tmp_path: Path) -> None:
 def test_run_of_a_newer_hil_is_refused_with_the_remedy(tmp_path: Path) -> None:
     run = RunDirectory.create(tmp_path, "ur5", "fourier")
     run.write_json("start.json", {"hil_run": 2})
-    with pytest.raises(DataError, match="hil_run is 2, known here up to 1") as caught:
+    with pytest.raises(DataError, match="hil_run is 2, the highest known version is 1") as caught:
         RunDirectory.open(run.path)
     assert "update hil" in caught.value.hint
 
@@ -515,7 +515,7 @@ def test_a_run_whose_robot_is_not_told_is_not_resumed(robot: Any) -> None:
     file = names_of("start.json")
     with quick_folder() as root:
         run = quick_run(root, {file: as_json(json.loads(whole_run()[file]) | {"robot": robot})})
-        with pytest.raises(DataError, match="does not say which robot the run is of"):
+        with pytest.raises(DataError, match="does not state the robot of the run"):
             open_unfinished(run)
 
 
@@ -684,7 +684,7 @@ def test_a_part_of_an_arm_with_fewer_joints_is_refused_and_named() -> None:
         with McapWriter(run / "recording" / "00.001.mcap", [topic], joint_names=["a", "b"]) as part:
             part.write(topic.name, np.zeros(3, topic.dtype))
         refusal = refusal_of(lambda: open_unfinished(run)) or ""
-        assert "00.001.mcap is of an arm with 2 joints, the part before it of one with 6" in refusal
+        assert "00.001.mcap contains 2 joints, but the part before it contains 6" in refusal
         assert_viewable(root, run)
 
 

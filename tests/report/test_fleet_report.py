@@ -79,12 +79,12 @@ def test_a_worn_joint_stands_out_by_its_change_though_not_by_its_friction(survey
 def test_the_page_says_who_is_to_be_looked_at_and_loads_nothing(survey: Survey) -> None:
     page = Page(page_html(fleet_page(survey)))
     assert not [url for url in page.loads if url.startswith(("http", "//"))]
-    looked = page.tables["Changed since its champion, or unlike the others"]
+    looked = page.tables["Changed since their champion, or different from the others"]
     assert [row[0].split()[-1] for row in looked if "ur5" in row[0]] == ["ur5-004", "ur5-011"]
     assert len(page.figures) == 4 * len(JOINTS)
-    assert "If equals differ normally, anybody stands out with a probability of 1 %" in page.text
-    assert "of 30 probed; by chance 0.3, nominally" in page.text
-    assert "1 are not" in page.text
+    assert "the probability of any outlier among all robots and joints is 1 %" in page.text
+    assert "of 30 probed; 0.3 expected by chance" in page.text
+    assert "1 not measured" in page.text
 
 
 def test_what_has_no_model_is_told_and_not_compared(survey: Survey) -> None:
@@ -108,7 +108,7 @@ def test_who_is_not_compared_is_named(survey: Survey) -> None:
         change=compare_robots(change, {"age": age}),
     )
     page = Page(page_html(fleet_page(told)))
-    assert "change of friction of ur5-002 is not compared: age is not known" in page.text
+    assert "change of friction of ur5-002 is not compared: age is unknown" in page.text
     assert told.outlying(told.change) == [(WORN, 2)]
 
 
@@ -164,7 +164,7 @@ def test_runs_of_a_fleet_are_judged_as_probes_of_its_champions(fleet: Path, tmp_
     assert told[0].probe is not None
     assert told[0].probe.false_alarm == pytest.approx(0.005, rel=0.01)
     again = probe_fleet(fleet, registry, 0.1)
-    assert again[0].note == "judged before, at a rate of 0.005, not 0.051"
+    assert again[0].note == "evaluated earlier, at a rate of 0.005, not 0.051"
     found = survey_fleet(fleet, registry, workers=1)
     assert found.false_alarms == pytest.approx(0.01, rel=0.01)
     assert all(np.isfinite(one.change).all() for one in found.robots)
@@ -188,10 +188,10 @@ def test_models_of_another_estimator_or_that_break_down_are_not_compared(
 
     monkeypatch.setattr(fleet_survey, "_friction", state)
     robots = [survey_robot(Path(name), tmp_path) for name in ("a", "a", "b", "c")]
-    assert robots[3].problem == "its model broke down: ZeroDivisionError: a plug-in"
+    assert robots[3].problem == "its model failed: ZeroDivisionError: a plug-in"
     compared = fleet_survey._of_one_estimator(robots)
     assert [bool(np.isfinite(one.friction).any()) for one in compared] == [True, True, False, False]
-    assert "its model is of estimator-b, others are of estimator-a" in compared[2].problem
+    assert "its model is from estimator-b, the others are from estimator-a" in compared[2].problem
 
 
 def test_a_joint_without_temperature_has_no_mean() -> None:

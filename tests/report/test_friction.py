@@ -114,7 +114,7 @@ def test_nothing_is_drawn_beyond_the_velocities_of_the_data(seen: Predictions) -
     for curve in curves:
         assert np.min(curve.x) == pytest.approx(low, abs=0.5)
         assert np.max(curve.x) == pytest.approx(high, abs=0.5)
-    assert [curve.name for curve in curves].count("± 2 standard errors, at most") == 2
+    assert [curve.name for curve in curves].count("± 2 standard errors (upper bound)") == 2
 
 
 def test_friction_that_is_no_curve_is_drawn_as_its_mean_either_way(seen: Predictions) -> None:
@@ -190,7 +190,7 @@ def test_no_band_where_the_standard_errors_of_least_squares_are_not_the_methods(
     assert np.isfinite(model.friction_curve(VELOCITIES).std_error).all() == holds
     motion = predict_with(model, moving(4, noise_a=0.05)).friction.in_motion
     names = [curve.name for curve in figures.friction_in_motion_curves(motion, 0)]
-    assert ("± 2 standard errors, at most" in names) == holds
+    assert ("± 2 standard errors (upper bound)" in names) == holds
 
 
 def test_friction_that_only_the_network_knows_is_not_taken_away(wls: RigidWls) -> None:
@@ -207,7 +207,7 @@ def test_friction_that_only_the_network_knows_is_not_taken_away(wls: RigidWls) -
     assert drawn.predicted == pytest.approx(truth)
     assert alone.curve is not None
     assert drawn.curve is None
-    said = "What the model's network adds"
+    said = "The output of the model's network counts as friction"
     assert [said in figures._how_to_read(each) for each in (drawn, alone)] == [True, False]
 
 
@@ -325,8 +325,8 @@ def test_a_band_is_told_of_where_one_is_drawn(seen: Predictions) -> None:
     unsure = replace(motion.curve, std_error=np.full_like(motion.curve.torque, np.nan))
     for law, drawn in ((motion.curve, True), (unsure, False)):
         told = figures._how_to_read(replace(motion, curve=law))
-        assert ("the band is at most that wide" in told) == drawn
-        assert ("no band is drawn" in told) != drawn
+        assert ("is therefore an upper bound" in told) == drawn
+        assert ("No band is drawn" in told) != drawn
 
 
 def test_friction_that_is_not_told_as_a_curve_is_not_said_to_depend_on_more(
@@ -334,7 +334,7 @@ def test_friction_that_is_not_told_as_a_curve_is_not_said_to_depend_on_more(
 ) -> None:
     told = figures._how_to_read(replace(seen.friction.in_motion, curve=None))
     assert "depends" not in told
-    assert "the mean of the model's friction at each velocity" in told
+    assert "the mean friction of the model at each velocity" in told
 
 
 def test_a_gain_of_one_with_a_source_is_known() -> None:

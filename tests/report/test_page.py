@@ -198,7 +198,7 @@ def test_the_part_above_the_cut_off_is_named_by_its_frequency_and_bounds_nothing
 
 
 def test_gravity_and_stick_friction_are_told_apart(dwells, dwell_page):
-    rows = table_of(dwell_page, "gravity and stick friction apart")
+    rows = table_of(dwell_page, "errors in gravity and static friction")
     measured = rows[-7:-1]
     assert len(measured) == 6
     for row in measured:
@@ -213,9 +213,9 @@ def test_gravity_and_stick_friction_are_told_apart(dwells, dwell_page):
 def test_a_run_that_was_renamed_still_finds_what_was_held_out(dwells, tmp_path):
     copy = shutil.copytree(dwells.path, tmp_path / "renamed")
     page = Page(render_report(copy).read_text())
-    assert "Plots of the models are left out" not in page.text
-    assert "The plots of static-wls are left out" not in page.text
-    assert table_of(page, "gravity and stick friction apart")
+    assert "Plots of the models are omitted" not in page.text
+    assert "The plots of static-wls are omitted" not in page.text
+    assert table_of(page, "errors in gravity and static friction")
 
 
 def test_a_dwell_that_was_repeated_is_shown_as_it_was_judged(tmp_path):
@@ -253,7 +253,9 @@ def test_the_plots_show_the_series_the_evaluation_names_and_no_others(dwells, tm
     document["held_out"]["series"] = document["held_out"]["series"][:2]
     file.write_text(json.dumps(document))
     page = Page(render_report(copy).read_text())
-    assert any("1 held-out poses from both sides" in caption for caption in page.tables)
+    assert any(
+        "1 held-out poses approached from both directions" in caption for caption in page.tables
+    )
 
 
 def edited_fit(run, name, **held_out):
@@ -270,8 +272,8 @@ def test_a_model_without_held_out_series_costs_no_other_its_plots(fourier, tmp_p
     copy = shutil.copytree(fourier.path, tmp_path / "copy")
     edited_fit(copy, "another-0123456789ab", series=[])
     page = run_page(copy)
-    (warning,) = [text for text in page.warnings if "left out" in text]
-    assert warning.startswith("The plots of another are left out:")
+    (warning,) = [text for text in page.warnings if "are omitted" in text]
+    assert warning.startswith("The plots of another are omitted:")
     plots = {s.title: any(isinstance(b, Figure) for b in s.blocks) for s in page.sections}
     assert plots["Model rigid-wls"]
     assert not plots["Model another"]
@@ -284,7 +286,7 @@ def test_a_model_judged_on_another_run_shows_no_series_of_this_one(fourier, tmp_
     entry = {**document["held_out"], "source": "runs/0099-other"}
     file.write_text(json.dumps({"validation": [entry]}))
     warnings = " ".join(run_page(copy).warnings)
-    assert "it was judged on runs/0099-other, not on this recording" in warnings
+    assert "the model was evaluated on runs/0099-other, not on this recording" in warnings
 
 
 def test_only_routine_events_that_there_were_are_counted(fourier, tmp_path):
@@ -336,11 +338,11 @@ def test_the_worst_held_out_trajectory_is_shown(fourier_page):
 @pytest.mark.parametrize(
     ("outcome", "reason", "badge", "words"),
     [
-        (None, "", "INTERRUPTED", "The run ended without saying why"),
+        (None, "", "INTERRUPTED", "The run ended without a stop document"),
         ("stopped", "stopped by the keyboard", "STOPPED", "stopped by the keyboard"),
         ("tripped", "interlock temperature: 81 °C", "TRIPPED", "An interlock stopped the robot"),
         ("failed", "the cable came off", "FAILED", "The run failed: the cable came off."),
-        ("completed", "", "NOT JUDGED", "there is no fitted model in the run"),
+        ("completed", "", "NOT JUDGED", "the run has no fitted model"),
     ],
 )
 def test_a_run_without_a_model_says_what_happened(tmp_path, outcome, reason, badge, words):
@@ -356,7 +358,7 @@ def test_a_run_without_a_model_says_what_happened(tmp_path, outcome, reason, bad
 def test_a_killed_recording_is_read_as_far_as_it_goes(tmp_path):
     run = write_run(tmp_path, fourier_plan(), outcome=None, finish=False)
     page = page_of(run)
-    assert "00.mcap.partial was never finished" in page.text
+    assert "00.mcap.partial was not finished" in page.text
     assert "3 481" in page.text.replace("\u202f", " ")
 
 
@@ -385,7 +387,7 @@ def test_a_model_that_cannot_be_loaded_leaves_its_numbers_on_the_page(fourier, t
     copy = shutil.copytree(fourier.path, tmp_path / "copy")
     next(copy.glob("fit/*/model.safetensors")).write_bytes(b"")
     page = Page(render_report(copy).read_text())
-    assert "The plots of rigid-wls are left out" in page.text
+    assert "The plots of rigid-wls are omitted" in page.text
     assert table_of(page, "errors per joint")
 
 
@@ -400,7 +402,7 @@ def test_models_stand_in_the_order_of_the_spec_and_the_best_is_named_and_open(fo
     page = Page(render_report(copy).read_text())
     rows = table_of(page, "Models, means over the joints")
     assert [row[0] for row in rows[2:]] == ["rigid-wls", "better"]
-    assert any("least on held-out data: better" in caption for caption in page.tables)
+    assert any("smallest held-out error: better" in caption for caption in page.tables)
     models = [section for section in run_page(copy).sections if section.id.startswith("model-")]
     assert [(one.title, one.folded) for one in models] == [
         ("Model rigid-wls", True),
@@ -642,13 +644,13 @@ AT = "hil run /lab/dwell.yaml --station /lab/my.yaml"
 @pytest.mark.parametrize(
     ("outcome", "part", "command"),
     [
-        ("completed", {"speed": 0.1, "first": 3}, f"{AT} --speed 10%"),
-        ("completed", {"speed": 0.1, "first_s": 30.0}, f"{AT} --speed 10%"),
+        ("completed", {"speed": 0.1, "first": 3}, f"{AT} --speed-scale 10%"),
+        ("completed", {"speed": 0.1, "first_s": 30.0}, f"{AT} --speed-scale 10%"),
         ("completed", {"speed": 0.1}, AT),
         ("completed", {"first": 3}, AT),
-        ("stopped", {"speed": 0.1, "first": 3}, f"{AT} --speed 10% --first 3"),
-        ("failed", {"first_s": 30.0}, f"{AT} --first 30s"),
-        ("tripped", {"speed": 0.1}, f"{AT} --speed 10%"),
+        ("stopped", {"speed": 0.1, "first": 3}, f"{AT} --speed-scale 10% --limit 3"),
+        ("failed", {"first_s": 30.0}, f"{AT} --limit 30s"),
+        ("tripped", {"speed": 0.1}, f"{AT} --speed-scale 10%"),
     ],
 )
 def test_first_all_poses_then_all_the_speed(tmp_path, outcome, part, command):
@@ -669,9 +671,9 @@ def test_runs_lists_the_command_that_repeats_a_failed_commissioning_run(tmp_path
     run = commissioned(tmp_path, "failed", first_s=30.0)
     (run.path / "report.html").write_text("failed")
     (listing,) = run_listings(tmp_path)
-    assert next_command(listing) == f"{AT} --first 30s"
+    assert next_command(listing) == f"{AT} --limit 30s"
     table = CliRunner().invoke(app, ["runs", "--runs", str(tmp_path)]).output
-    assert f"{AT} --first 30s" in table
+    assert f"{AT} --limit 30s" in table
 
 
 def test_a_completed_commissioning_run_leaves_nothing_to_complete(tmp_path):
@@ -763,7 +765,7 @@ def test_criteria_under_loads_are_shown_and_count_in_the_verdict_of_their_model(
     table = criteria_under_loads(facts.listed_fits)
     assert table is not None
     assert [[cell.text for cell in row] for row in table.rows] == [
-        ["error under a load over that with the first", "rigid-wls", "5 kg load, the worst",
+        ["error under a load relative to the first load", "rigid-wls", "5 kg load (worst)",
          "1.42", "1.50", "passed"],
         ["declared loads contradicted", "rigid-wls", "all loads; wrong: 3 kg", "1", "0",
          "missed"],
@@ -795,7 +797,9 @@ def test_what_was_weighed_is_told_by_mass(run: Path) -> None:
     event = {"kind": "weighing", "load": 2, "result": "waived", "problem": "load 2: too light"}
     facts = replace(facts_with(run, 0.0, 1.0, 3.0), events=[event])
     assert weighings(facts) == {"3 kg": "too light"}
-    assert weighing_warnings(facts) == ["The failed weighing was waived: 3 kg: too light."]
+    assert weighing_warnings(facts) == [
+        "The payload check failed, and the failure was waived: 3 kg: too light."
+    ]
     (table,) = timeline(facts).blocks
     assert "load: 3 kg" in table.rows[0][2].text  # type: ignore[union-attr]
 
@@ -874,12 +878,12 @@ def test_the_page_shows_it_too(tmp_path: Path) -> None:
     told(tmp_path, FIRST_LOAD, PASSED)
     (run,) = tmp_path.rglob("start.json")
     page = render_report(run.parent).read_text("utf-8")
-    assert "3.00 kg declared, 3.07 ± 0.10 kg weighed" in page
+    assert "3.00 kg declared, 3.07 ± 0.10 kg measured" in page
 
 
 def test_a_load_that_was_weighed_is_shown_with_both_masses(tmp_path: Path) -> None:
     text = told(tmp_path, FIRST_LOAD, PASSED)
-    assert "weighed load 1: 3.00 kg declared, 3.07 ± 0.10 kg weighed" in text
+    assert "weighed load 1: 3.00 kg declared, 3.07 ± 0.10 kg measured" in text
     assert "Warning" not in text
 
 
@@ -907,7 +911,7 @@ def test_a_weighing_that_cannot_tell_is_a_warning(tmp_path: Path) -> None:
     problem = "load 1: 0.10 kg declared, 0.00 ± 0.01 kg weighed"
     doubtful = PASSED | {"result": "inconclusive", "problem": problem}
     text = told(tmp_path, FIRST_LOAD, doubtful)
-    sentence = f"The weighing cannot tell which load is mounted: {problem}."
+    sentence = f"The weighing cannot determine which load is mounted: {problem}."
     assert sentence in text.split("Warning: ")[1]
     (run,) = tmp_path.rglob("start.json")
     assert sentence in render_report(run.parent).read_text("utf-8")
@@ -978,7 +982,7 @@ def test_words_say_which_epoch_was_kept_and_how_long_stages_were() -> None:
 def test_a_training_that_made_things_worse_says_so() -> None:
     plots = learning_plots(fit_with(trained((2.0, 3.0)).to_dict()))
     assert plots is not None
-    assert "None of 2 epochs was better" in plots.caption
+    assert "none of 2 epochs was better" in plots.caption
 
 
 def test_the_section_of_a_model_shows_them_and_other_models_have_none() -> None:

@@ -50,7 +50,7 @@ def test_a_part_that_follows_a_paper_says_what_its_numbers_are_no_measure_of() -
     _, section = study_sections([replace(result(), parts=(part,))])
     assert section.title == "As in the paper (paper protocol)"
     assert section.lead.startswith("Protocol paper: the current is among the inputs. ")
-    assert "no measure of how well a model predicts" in section.lead
+    assert "they do not measure how well a model predicts" in section.lead
 
 
 def test_a_name_looks_the_same_in_every_panel() -> None:
@@ -143,10 +143,10 @@ def test_a_failed_study_is_told_until_it_is_made(tmp_path: Path) -> None:
     run = write_run(tmp_path, dwell_plan(poses=4))
     folder = run.path / "study" / "counted-1"
     write_problem("counted", "too few poses", "record more", folder)
-    told = "The study counted could not be made: too few poses → record more"
+    told = "The study counted failed: too few poses → record more"
     assert told in " ".join(" ".join(summary_lines(run.path)).split())
     write_study(result(bars()), folder)
-    assert "could not be made" not in " ".join(summary_lines(run.path))
+    assert "The study counted failed" not in " ".join(summary_lines(run.path))
 
 
 @pytest.mark.parametrize(

@@ -127,18 +127,18 @@ def test_a_finished_recording_that_was_cut_off_is_a_warning(tmp_path):
     assert "torn" not in " ".join(summary_lines(run.path))
     file.write_bytes(file.read_bytes()[:-100])
     told = " ".join(" ".join(summary_lines(run.path)).split())
-    assert f"00.mcap is torn although it was finished: hil recover {run.path}" in told
+    assert f"00.mcap was finished but is truncated: hil recover {run.path}" in told
 
 
 def test_lines_in_the_log_that_are_no_events_are_counted(tmp_path):
     run = write_run(tmp_path, fourier_plan())
     log = run.path / "events.jsonl"
     log.write_bytes(log.read_bytes() + b'{"t": 17, "ti')  # what a crash leaves is no news
-    assert "no event" not in " ".join(summary_lines(run.path))
+    assert "not an event" not in " ".join(summary_lines(run.path))
     log.write_bytes(log.read_bytes() + b'\n\xff\x00garb\x80age\n[]\n{"kind"\nnull\n')
-    assert "events.jsonl holds 4 lines that are no events" in " ".join(summary_lines(run.path))
-    assert run.verify() == ["events.jsonl holds 4 lines that are no events: something else "
-                            "wrote into it"]  # fmt: skip
+    assert "events.jsonl contains 4 lines that are not events" in " ".join(summary_lines(run.path))
+    assert run.verify() == ["events.jsonl contains 4 lines that are not events: a different "
+                            "program wrote to it"]  # fmt: skip
 
 
 @pytest.mark.thorough
@@ -186,7 +186,7 @@ def test_a_run_that_ended_early_says_where_and_how_to_go_on(tmp_path):
     run = stopped_early(tmp_path, fourier_plan(), steps_done=3)
     text = " ".join(" ".join(summary_lines(run.path)).split())
     assert "3 of 6 steps; ended in step 4, trajectory 1" in text
-    assert f"to go on: hil resume {run.path}" in text
+    assert f"resume: hil resume {run.path}" in text
 
 
 def test_what_was_measured_is_counted_by_the_data(tmp_path):
@@ -196,8 +196,10 @@ def test_what_was_measured_is_counted_by_the_data(tmp_path):
 
 
 def test_what_went_wrong_on_the_way_out_is_a_warning(tmp_path):
-    run = stopped_early(tmp_path, fourier_plan(), problems=["nobody saw the arm come to rest"])
-    assert "Warning: nobody saw the arm come to rest" in summary_lines(run.path)
+    run = stopped_early(
+        tmp_path, fourier_plan(), problems=["standstill of the arm was not confirmed"]
+    )
+    assert "Warning: standstill of the arm was not confirmed" in summary_lines(run.path)
 
 
 def test_a_run_that_ended_in_preflight_moved_nothing(tmp_path):
@@ -388,7 +390,8 @@ def test_an_nrmse_of_1_is_explained_where_a_joint_is_hardly_loaded(
     nrmse: tuple[float, ...], named: str
 ) -> None:
     note = per_joint(fit_with(*nrmse)).note
-    assert note.startswith(f"An NRMSE near 1 is no fault of the model at {named}:") is bool(named)
+    said = f"An NRMSE near 1 is not a fault of the model for {named}:"
+    assert note.startswith(said) is bool(named)
 
 
 @pytest.mark.parametrize(("count", "said"), [(2, True), (1, False)])

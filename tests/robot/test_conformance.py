@@ -406,7 +406,7 @@ def strike(robot: Robot) -> None:
 @pytest.mark.parametrize(
     ("robot", "told"),
     [
-        (lambda: FaultsIn(2), "read after them has not raised"),
+        (lambda: FaultsIn(2), "the next read did not raise it"),
         (lambda: FaultsIn(1, obeys=True), "prepare after a fault"),
     ],
 )
@@ -418,7 +418,7 @@ def test_a_fault_that_is_told_late_or_not_minded_is_found(
 
 
 def test_a_fault_that_is_never_told_is_found() -> None:
-    with pytest.raises(AssertionError, match="no read has told the fault"):
+    with pytest.raises(AssertionError, match="no read has raised the fault"):
         a_fault_surfaces_in_the_next_read(KinematicRobot(), Bench(fault=lambda robot: None))
 
 
@@ -429,7 +429,10 @@ def test_a_fault_that_is_told_is_what_is_asked_for() -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("seen", "told"),
-    [(lambda asked: asked + 0.2, "on the wire after 200 ms"), (lambda asked: None, "no stop came")],
+    [
+        (lambda asked: asked + 0.2, "on the wire after 200 ms"),
+        (lambda asked: None, "no stop reached the controller"),
+    ],
 )
 def test_a_stop_that_comes_late_or_never_is_found(
     seen: Callable[[float], float | None], told: str

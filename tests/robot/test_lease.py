@@ -108,7 +108,7 @@ def test_a_station_file_that_is_not_there_is_no_station_of_that_name(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SpecError, match=r"no station file bench\.yaml in ") as caught:
         leased(RealRobot(), name="ur5", driver="ur", station="bench.yaml")
-    assert "whole path" in caught.value.hint
+    assert "full path" in caught.value.hint
     assert held_leases() == []
 
 
@@ -189,7 +189,7 @@ def test_a_folder_of_somebody_else_is_not_trusted(
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "hil-1000").symlink_to(tmp_path / "elsewhere")
     monkeypatch.setattr("hil.robot.lease.leases_folder", lambda: tmp_path / "hil-1000")
-    with pytest.raises(RobotConnectionError, match="belongs to somebody else") as caught:
+    with pytest.raises(RobotConnectionError, match="belongs to a different user") as caught:
         leased(RealRobot(), **UR5)
     assert "HIL_LEASES" in caught.value.hint
 
@@ -199,7 +199,7 @@ def test_a_folder_that_cannot_be_made_says_so(
 ) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("HIL_LEASES", str(tmp_path / "file"))
-    with pytest.raises(RobotConnectionError, match="cannot keep a lease"):
+    with pytest.raises(RobotConnectionError, match="cannot store a lease"):
         leased(RealRobot(), **UR5)
 
 

@@ -86,11 +86,11 @@ def test_durations_count_back_from_now() -> None:
         ("rmse", "in quotes: 'rmse<0.1'"),
         ("duration", "in quotes: 'duration>10'"),
         ("since", "in quotes: 'since=7d'"),
-        ("rmse<", "such as rmse<0.1"),
-        ("rmse<low", "such as rmse<0.1"),
-        ("gaps>nan", "such as gaps>10"),
+        ("rmse<", "for example: rmse<0.1"),
+        ("rmse<low", "for example: rmse<0.1"),
+        ("gaps>nan", "for example: gaps>10"),
         ("status=complete", "did you mean 'completed'?"),
-        ("verdict=good", "there is not judged, passed, rejected"),
+        ("verdict=good", "available: not judged, passed, rejected"),
         ("name<b", "use name with = or !="),
         ("since>7d", "use since with ="),
         ("since=lately", "since=7d"),
@@ -128,7 +128,7 @@ def test_the_command_prints_what_was_found(runs: Path) -> None:
     assert "ur10-s" in table
     assert "rigid-wls 0.0800 A" in table
     nothing = CliRunner().invoke(app, ["runs", "number=5", "--runs", str(runs)])
-    assert nothing.stdout == f"no run under {runs} meets: number=5\n"
+    assert nothing.stdout == f"no run under {runs} meets the conditions: number=5\n"
 
 
 def test_without_a_query_the_command_says_what_it_always_said(runs: Path) -> None:

@@ -94,7 +94,9 @@ def test_runs_of_a_fleet_stay_together(runs: Path, tmp_path: Path) -> None:
         spec = f"/where/runs/were/2026-11-20/fleet/fleet-weekly/specs/{robot}.yaml"
         write_run(runs, number, robot=robot, start={"spec": spec}, outcome=outcome)
     told = {one.run.name[:4]: one.why for one in decide(runs, ALL, (), NOW)}
-    assert told["0007"].startswith("it is of fleet-weekly, as 0008-fourier: it was interrupted")
+    assert told["0007"].startswith(
+        "it belongs to fleet-weekly, whose run 0008-fourier stays: it was interrupted"
+    )
     assert told["0003"] == ""
     interrupted = Policy(older=timedelta(days=1), interrupted=True)
     assert len(goes(runs, interrupted)) == 5
@@ -112,13 +114,13 @@ def test_nothing_goes_while_a_folder_that_may_keep_runs_cannot_be_read(
     with pytest.raises(DataError) as caught:
         decide(runs, ALL, (), NOW)
     assert caught.value.message == f"cannot read {runs / closed}: Permission denied"
-    assert "nothing is deleted before" in caught.value.hint
+    assert "nothing is deleted until" in caught.value.hint
 
 
 @pytest.mark.parametrize(
     ("refuses", "named", "hint"),
-    [("rename", "0001-fourier", "nothing of it is deleted yet"),
-     ("rmtree", ".trash-", "goes with the next hil prune --yes")],
+    [("rename", "0001-fourier", "none of its files has been deleted"),
+     ("rmtree", ".trash-", "the next hil prune --yes deletes the remaining files")],
 )  # fmt: skip
 def test_a_disk_that_refuses_is_told_with_what_is_left(
     refuses: str, named: str, hint: str, runs: Path, monkeypatch: pytest.MonkeyPatch

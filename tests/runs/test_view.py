@@ -208,7 +208,7 @@ def test_a_run_that_may_not_be_read_is_an_error_of_the_data(
     with pytest.raises(DataError) as caught:
         describe_run(run)
     assert caught.value.message == f"cannot read {run}: Permission denied"
-    assert caught.value.hint == "see whether you may read it"
+    assert caught.value.hint == "check the permissions of the file"
 
 
 def test_a_day_that_may_not_be_entered_is_named_and_no_other_run_is_lost(

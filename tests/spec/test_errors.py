@@ -28,7 +28,11 @@ excitation:
 """
 
 
-class Network:
+Members = type("Members", (), dict.fromkeys(plugins.MEMBERS["hil.estimators"]))
+"""Members that every estimator has; none of them is called here."""
+
+
+class Network(Members):
     """An estimator with parameters, as a plug-in brings it."""
 
     estimator = "network"
@@ -38,7 +42,7 @@ class Network:
             raise ValueError(f"epochs is {epochs}, but must be at least 1")
 
 
-class AtRest:
+class AtRest(Members):
     """An estimator for dwells, which can make do with slow stretches of motions."""
 
     estimator = "at-rest"
@@ -51,14 +55,14 @@ class StaticWls(AtRest):
     estimator = "static-wls"
 
 
-class InMotion:
+class InMotion(Members):
     """An estimator for trajectories, which can make do with moves."""
 
     estimator = "in-motion"
     series_kinds = (("trajectory",), ("move",))
 
 
-class NeedsGap:
+class NeedsGap(Members):
     """An estimator with a parameter that has no default."""
 
     estimator = "needs-gap"
@@ -105,7 +109,7 @@ IN_EXCITATION = [
         "harmonics: 5",
         "6:3: excitation.harmonics: unknown key; it belongs to `excitation` with `kind: fourier`",
     ),
-    ("kind: dwell", "6:3: excitation.kind: is given twice, first at line 5, column 3"),
+    ("kind: dwell", "6:3: excitation.kind: occurs twice, first at line 5, column 3"),
     ("waypoints: 0", "6:14: excitation.waypoints: must be at least 1, not 0"),
     ("waypoints: 1.5", "6:14: excitation.waypoints: must be a whole number, not 1.5"),
     ("waypoints: true", "6:14: excitation.waypoints: must be a number, not true"),
@@ -120,13 +124,13 @@ IN_EXCITATION = [
     ),
     (
         "dwell_s: 0,095",
-        "6:12: excitation.dwell_s: must be a number, not the text '0,095': decimals take a point",
+        "6:12: excitation.dwell_s: must be a number, not the text '0,095': write a decimal point",
     ),
     (
         "dwell_s: 12:30",
         "6:12: excitation.dwell_s: must be a number, not the text '12:30'",
     ),
-    ("dwell_s:", "6:11: excitation.dwell_s: has no value: give it one, or remove the key"),
+    ("dwell_s:", "6:11: excitation.dwell_s: has no value: add a value, or remove the key"),
     ("dwell_s: 0.001", "6:12: excitation.dwell_s: must be at least 0.01 s, not 0.001"),
     ("dwell_s: 601", "6:12: excitation.dwell_s: must be at most 600 s, not 601"),
     ("dwell_s: .inf", "6:12: excitation.dwell_s: must be at most 600 s, not inf"),
@@ -193,12 +197,12 @@ QUANTITIES = [
 @pytest.mark.parametrize(("entry", "write"), QUANTITIES)
 def test_a_unit_in_the_value_is_converted_for_the_reader(entry: str, write: str) -> None:
     assert line_of(f"{GOOD}  {entry}\n").endswith(
-        f": the unit is in the key, so just the number: {write}"
+        f": the key contains the unit, so write only the number: {write}"
     )
 
 
 AT_THE_TOP = [
-    ("loads: []", "6:8: loads: must not be empty: at least 1 needed"),
+    ("loads: []", "6:8: loads: must not be empty: at least 1 required"),
     ("loads: {mass_kg: 3}", "6:8: loads: must be a list, not a mapping"),
     (
         "loads: [3]",
@@ -241,8 +245,9 @@ AT_THE_TOP = [
     ),
     (
         "interlocks: [{kind: speed, limit_deg_s: 60}]",
-        "6:41: interlocks.0.limit_deg_s: must be above the 60 °/s of "
-        "excitation.max_velocity_deg_s: lower that one, or raise this one as far as the arm goes",
+        "6:41: interlocks.0.limit_deg_s: must be above "
+        "excitation.max_velocity_deg_s (60 °/s): reduce that limit, or increase this one, at most "
+        "to the limit of the arm",
     ),
     (
         "interlocks: [{kind: speed, limit_deg_s: 90, action: pause}]",
@@ -250,16 +255,17 @@ AT_THE_TOP = [
     ),
     (
         "interlocks: [{kind: stale, enabled: false}]",
-        "6:37: interlocks.0.enabled: cannot be switched off: nothing else would notice a dead line",
+        "6:37: interlocks.0.enabled: cannot be disabled: no other interlock detects a lost "
+        "connection",
     ),
-    ("record:", "6:8: record: has no value: give it one, or remove the key"),
+    ("record:", "6:8: record: has no value: add a value, or remove the key"),
     (
         "validate: {hold_out: {loads: [0, 2]}}",
         "6:34: validate.hold_out.loads.1: there is no load 2: `loads` has 1, counted from 0",
     ),
     (
         "validate: {hold_out: {loads: [0]}}",
-        "6:30: validate.hold_out.loads: holds out every load and leaves none to fit on",
+        "6:30: validate.hold_out.loads: holds out every load, so that none is left to fit",
     ),
     (
         "validate: {hold_out: {trajectories: 2}}",
@@ -275,7 +281,7 @@ AT_THE_TOP = [
         "6:31: accept.rmse.unit: must be one of A, N·m, Nm, not 'V'",
     ),
     ("waypoints: 9", "6:1: waypoints: unknown key; it belongs to `excitation` with `kind: dwell`"),
-    ("hil: 1", "6:1: hil: is given twice, first at line 1, column 1"),
+    ("hil: 1", "6:1: hil: occurs twice, first at line 1, column 1"),
     (
         "zzz: 9",
         "6:1: zzz: unknown key; known here: hil, name, description, robot, excitation, loads, "
@@ -283,11 +289,12 @@ AT_THE_TOP = [
     ),
     (
         "fit: [{}]",
-        "6:7: fit.0.estimator: is missing: Name under `hil.estimators`, e.g. `static-wls`",
+        "6:7: fit.0.estimator: is missing: "
+        "Name of an estimator (entry point in `hil.estimators`), e.g. `static-wls`",
     ),
     (
         "fit: [{estimater: network}]",
-        "6:7: fit.0.estimator: is missing; is 'estimater' meant to be it?",
+        "6:7: fit.0.estimator: is missing; is 'estimater' a misspelling of it?",
     ),
     (
         "fit: [{estimator: static-wsl}]",
@@ -296,7 +303,7 @@ AT_THE_TOP = [
     (
         "fit: [{estimator: zzz}]",
         "6:19: fit.0.estimator: there is no estimator 'zzz'; "
-        "there is anything, at-rest, broken, in-motion, needs-gap, network, static-wls",
+        "available: anything, at-rest, broken, in-motion, needs-gap, network, static-wls",
     ),
     (
         "fit: [{estimator: network, layer: [4, 1]}]",
@@ -324,15 +331,15 @@ def test_a_wrong_entry_at_the_top(entry: str, line: str | None) -> None:
 
 
 HEADS = [
-    ("hil: 1", "hil: 2", "1:6: hil: this hil reads format 1, not 2"),
+    ("hil: 1", "hil: 2", "1:6: hil: this version of hil reads format 1, not 2"),
     ("hil: 1", "hil: true", "1:6: hil: must be a number, not true"),
-    ("robot: ur5\n", "", "1:1: robot: is missing: A robot of the station"),
+    ("robot: ur5\n", "", "1:1: robot: is missing: Name of a robot of the station"),
     ("robot: ur5", "robott: ur5", "3:1: robott: unknown key; did you mean 'robot'?"),
     (
         "name: demo",
         "name: my demo",
-        "2:7: name: must begin with a letter or digit and hold nothing but letters, digits, '_', "
-        "'.' and '-', 64 at most, not 'my demo'",
+        "2:7: name: must begin with a letter or digit and contain only letters, digits, '_', '.' "
+        "and '-', at most 64 characters, not 'my demo'",
     ),
     (
         "kind: dwell",
@@ -352,7 +359,7 @@ HEADS = [
     (
         "excitation:\n  kind: dwell",
         "excitation:",
-        "4:12: excitation: has no value: give it one, or remove the key",
+        "4:12: excitation: has no value: add a value, or remove the key",
     ),
     ("hil: 1", "hil_station: 1", "1:1: this file is a station, but an experiment is needed here"),
 ]
@@ -448,7 +455,7 @@ def test_the_hint_in_a_station_is_of_what_a_robot_may_have(tmp_path: Path) -> No
     )
     with pytest.raises(SpecError) as caught:
         load_station(path)
-    assert caught.value.hint == "`hil explain robots` lists what may stand there"
+    assert caught.value.hint == "`hil explain robots` lists the allowed keys and values"
     assert "in_service" in CliRunner().invoke(app, ["explain", "robots"]).stdout
 
 
@@ -502,24 +509,24 @@ UNJUDGEABLE = [
     (
         "fourier\n  trajectories: 1",
         "",
-        "validate.hold_out: holds out 1 of 1 trajectories and leaves none to fit on",
+        "validate.hold_out: holds out 1 of 1 trajectories, so that none is left to fit",
     ),
     (
         "fourier",
         "validate: {hold_out: {trajectories: 0}}",
-        "validate.hold_out.trajectories: holds out nothing, so no model can be judged: "
-        "give trajectories or loads",
+        "validate.hold_out.trajectories: holds out nothing, so that no model can be "
+        "evaluated: hold out trajectories or loads",
     ),
     (
         "dwell\n  waypoints: 1",
         "",
-        "validate.hold_out: holds out 1 of 1 poses and leaves none to fit on",
+        "validate.hold_out: holds out 1 of 1 poses, so that none is left to fit",
     ),
     (
         "dwell",
         "validate: {hold_out: {poses_percent: 0}}",
-        "validate.hold_out.poses_percent: holds out nothing, so no model can be judged: "
-        "give poses or loads",
+        "validate.hold_out.poses_percent: holds out nothing, so that no model can be "
+        "evaluated: hold out poses or loads",
     ),
     (
         "fourier",
@@ -529,20 +536,20 @@ UNJUDGEABLE = [
     (
         "fourier",
         "validate: {hold_out: {trajectories: 2, trajectories_percent: 25}}",
-        "validate.hold_out.trajectories_percent: `trajectories` chooses the last ones, this one "
-        "draws: keep one of the two",
+        "validate.hold_out.trajectories_percent: excludes `trajectories`, which selects the "
+        "last ones: remove one of the two keys",
     ),
     (
         "fourier",
         "validate: {hold_out: {trajectories_percent: 0}}",
-        "validate.hold_out.trajectories_percent: holds out nothing, so no model can be judged: "
-        "give trajectories or loads",
+        "validate.hold_out.trajectories_percent: holds out nothing, so that no model can be "
+        "evaluated: hold out trajectories or loads",
     ),
     (
         "fourier\n  trajectories: 1",
         "validate: {hold_out: {trajectories_percent: 50}}",
-        "validate.hold_out.trajectories_percent: holds out 1 of 1 trajectories and leaves none to "
-        "fit on",
+        "validate.hold_out.trajectories_percent: holds out 1 of 1 trajectories, so that none is "
+        "left to fit",
     ),
     (
         "dwell",

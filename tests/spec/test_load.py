@@ -179,7 +179,7 @@ def test_a_wrong_override_is_reported_at_the_override() -> None:
         "--set 1: excitation.waypoints: must be a number, not the text 'many'",
         "--set 2: warm_up.duration_ms: unknown key; "
         "quantities carry their unit in the key: use duration_s: 0.005",
-        "--set 3: robot: has no value: write one behind the = (an empty list is [], an empty "
+        "--set 3: robot: has no value: write a value after the = (an empty list is [], an empty "
         "text '')",
     ]
 
@@ -204,7 +204,7 @@ def test_an_override_is_not_blamed_for_problems_that_a_long_list_left_out() -> N
 
 @pytest.mark.parametrize("key", ["", "loads.7.mass_kg", "name.first", "loads.mass_kg", "a..b"])
 def test_an_override_of_a_place_that_cannot_be_is_refused(key: str) -> None:
-    with pytest.raises(SpecError, match="there is no such place"):
+    with pytest.raises(SpecError, match="this path does not exist"):
         spec_from_text(GOOD, overrides={key: "1"})
 
 
@@ -306,15 +306,14 @@ def test_a_station_reports_drivers_models_names_and_walls_at_once(tmp_path: Path
     assert missing in said
     assert any(line.startswith("4:3: robots.my arm: must begin with a letter") for line in said)
     assert any(line.endswith("use gravity_m_s2") and line.startswith("4:50:") for line in said)
-    assert (
-        "6:59: robots.b.surroundings.walls.0.normal: must point somewhere; it is all zeros" in said
-    )
+    assert "6:59: robots.b.surroundings.walls.0.normal: must not be the zero vector" in said
     assert len(said) == 6
 
 
 def test_an_arm_like_no_other_is_answered_with_the_list_of_arms(tmp_path: Path) -> None:
     (line,) = station_lines(tmp_path, BENCH.replace("model: ur5", "model: banana"))
-    assert line.endswith(f"there is {', '.join(sorted(arm_names()))}. A URDF is named by its path.")
+    arms = ", ".join(sorted(arm_names()))
+    assert line.endswith(f"; available: {arms}. Write the path of a URDF.")
 
 
 def test_an_experiment_is_no_station(tmp_path: Path) -> None:
@@ -513,8 +512,8 @@ def test_without_it_is_held_out_what_is_written() -> None:
 @pytest.mark.parametrize(
     ("lines", "where", "told"),
     [
-        ((FOURIER, FIT, ASKED), "validate.under_loads", "`loads` needs a second"),
-        ((FOURIER, "loads: [{mass_kg: 3}]\n", FIT, ASKED), "validate.under_loads", "a second"),
+        ((FOURIER, FIT, ASKED), "validate.under_loads", "requires a second load in `loads`"),
+        ((FOURIER, "loads: [{mass_kg: 3}]\n", FIT, ASKED), "validate.under_loads", "a second load"),
         ((FOURIER, LOADS, ASKED), "validate.under_loads", "`fit` is empty"),
         (
             (FOURIER.replace("8", "2"), LOADS, FIT, "validate: {under_loads: true}\n"),
@@ -530,7 +529,7 @@ def test_without_it_is_held_out_what_is_written() -> None:
         (
             (FOURIER, LOADS, FIT, "validate: {under_loads: true, hold_out: {loads: [2]}}\n"),
             "validate.hold_out.loads",
-            "leave this away",
+            "must be omitted",
         ),
         (
             (FOURIER, LOADS, FIT, "validate: {under_loads: true, hold_out: {trajectories: 0}}\n"),
@@ -540,12 +539,12 @@ def test_without_it_is_held_out_what_is_written() -> None:
         (
             (FOURIER, LOADS, FIT, "accept: {load_error_ratio: {max: 1.5}}\n"),
             "accept.load_error_ratio",
-            "only with validate",
+            "requires validate",
         ),
         (
             (FOURIER, LOADS, FIT, "accept: {contradicted_loads: {max: 0}}\n"),
             "accept.contradicted_loads",
-            "only with validate",
+            "requires validate",
         ),
     ],
 )  # fmt: skip

@@ -151,7 +151,7 @@ def test_the_schema_uses_the_keys_of_the_file() -> None:
 def test_a_key_is_explained_by_its_path() -> None:
     (dwell,) = explain_key("excitation.dwell_s")
     assert (dwell.unit, dwell.default, dwell.allowed) == ("s", "`0.095`", "number ≥ 0.01, ≤ 600")
-    assert dwell.meaning == "Shortest time at rest before the pose is left."
+    assert dwell.meaning == "Minimum time at standstill in each pose."
     assert [info.kind for info in explain_key("excitation.seed")] == ["dwell", "fourier"]
     assert explain_key("loads.0.mass_kg") == explain_key("mass_kg")
 

@@ -99,7 +99,7 @@ def test_told_of_the_load_a_model_errs_far_less() -> None:
 @pytest.mark.thorough
 def test_every_load_has_its_bars_told_and_not() -> None:
     mean, joints = found().parts[0].figures
-    assert [panel.title for panel in mean.panels] == ["rigid-wls", "rigid-wls, told of the load"]
+    assert [panel.title for panel in mean.panels] == ["rigid-wls", "rigid-wls, aware of the load"]
     assert [panel.title for panel in joints.panels] == JOINTS
     told = ["unaware", "declared", "calibrated", "identified"]
     for panel, ways in (
@@ -156,7 +156,7 @@ def test_the_worst_load_is_said_of_every_estimator() -> None:
         assert said.startswith(f"{name}, mean over the joints: ")
         assert f"with {worst}, {rows[f'{worst}, {name}, unaware']:.3g} N·m unaware" in said
         assert f"declared ({ratio:.2f} times that of 0 kg, " in said
-        assert "by which motions are held out)" in said
+        assert "depending on the held-out motions)" in said
 
 
 @pytest.mark.thorough
@@ -180,7 +180,7 @@ def test_an_estimator_that_fails_costs_no_other(monkeypatch: pytest.MonkeyPatch)
 def test_correct_declarations_are_said_to_agree() -> None:
     assert [row[1] for row in table(found(), "table-declarations").rows] == 3 * ["agrees"]
     assert found().summary[0].startswith("All 3 declared loads agree")
-    assert found().summary[1].startswith("Masses wrong by less than this would not")
+    assert found().summary[1].startswith("Smaller errors of the declared mass cannot be detected")
     assert found().warnings == ()
     mass, centre = (table(found(), key) for key in ("table-mass", "table-centre"))
     assert [row[0] for row in mass.rows] == ["1 kg", "3 kg", "5 kg"]
@@ -207,8 +207,10 @@ def test_a_tool_mounted_the_wrong_way_round_is_named() -> None:
 def test_loads_on_the_axis_are_said_to_hide_their_angle() -> None:
     result = study("load-validation", **CHEAP).run(swept(ON_AXIS[:2]), nominal())
     for load in ("1 kg", "3 kg"):
-        told = f"{load}: the centre of mass cannot be told from the flange's axis (±"
-        assert any(note.startswith(told) and "observed" in note for note in result.warnings)
+        told = f"{load}: the centre of mass cannot be distinguished from the axis of the flange (±"
+        assert any(
+            note.startswith(told) and "cannot be checked" in note for note in result.warnings
+        )
     assert {row[3] for row in table(result, "table-declarations").rows} == {"no"}
     assert result.parts[0].figures == ()
 
@@ -251,7 +253,7 @@ def test_of_several_stored_models_only_what_none_has_seen_is_judged(tmp_path: Pa
 def test_a_model_that_has_seen_everything_is_refused(tmp_path: Path) -> None:
     of = recorded_from(swept(), nominal(), 20.0, 50.0)
     saved = RigidWls().fit(swept().select(lambda c: c.load == 0), nominal()).save(tmp_path / "a")
-    with pytest.raises(DataError, match="no motion of this run is left"):
+    with pytest.raises(DataError, match="no motion of this run remains"):
         unseen([saved], of)
     saved = RigidWls().fit(swept(), nominal()).save(tmp_path / "b")
     with pytest.raises(DataError, match="with a load"):
@@ -260,7 +262,7 @@ def test_a_model_that_has_seen_everything_is_refused(tmp_path: Path) -> None:
 
 def test_a_run_with_one_load_is_refused() -> None:
     bare = swept().select(lambda c: c.load == 0)
-    with pytest.raises(FitError, match="no load besides its first"):
+    with pytest.raises(FitError, match="the run has only one load"):
         study("load-validation", **SMALL).run(bare, nominal())
 
 
@@ -274,12 +276,14 @@ def test_a_load_that_cannot_be_identified_is_told_and_the_others_are_judged(
 
     def failing(model: Any, data: Any, **options: Any) -> Any:
         if data.conditions[0].load == 1:
-            raise FitError("the load did not settle")
+            raise FitError("the payload estimate did not converge")
         return real(model, data, **options)
 
     monkeypatch.setattr(load_models, "estimate_payload", failing)
     result = study("load-validation", **CHEAP).run(swept(LIGHT), nominal())
-    assert "1 kg, rigid-wls: not identified: the load did not settle" in result.warnings
+    assert (
+        "1 kg, rigid-wls: not identified: the payload estimate did not converge" in result.warnings
+    )
     verdicts = [row[1] for row in table(result, "table-declarations").rows]
     assert verdicts == ["not checked", "agrees"]
 
@@ -401,7 +405,7 @@ def test_what_could_not_be_seen_is_said() -> None:
     assert "0.04 to 0.05 kg heavier" in shared
     assert told_of((1.0, 0.01, 0.05), (1.0, 0.05, 0.06)) == []  # as gains would have it
     (axis,) = told_of((3.0, 0.0, 0.03), (1.0, 0.0, 0.03))
-    assert "cannot be told from the flange's axis (±30 mm)" in axis
+    assert "cannot be distinguished from the axis of the flange (±30 mm)" in axis
     assert told_of((0.0, 0.0, 0.03), (1.0, 0.0, 0.03)) == []
 
 
@@ -471,7 +475,7 @@ def test_the_note_says_how_a_weighing_relates() -> None:
 def test_what_sets_the_scale_is_left_out_of_a_panel_beside() -> None:
     mean, _ = figures([model("a"), model("b")])
     assert [panel.title for panel in mean.panels] == [
-        "a", "a, told of the load", "b", "b, told of the load",
+        "a", "a, aware of the load", "b", "b, aware of the load",
     ]  # fmt: skip
     assert mean.per_row == 2
     for whole, aware in zip(mean.panels[::2], mean.panels[1::2], strict=True):

@@ -180,7 +180,7 @@ def test_friction_dealt_out_at_random_looks_as_good_by_sample_and_fails_by_pose(
     split = table(found, "table-split")
     held_out = {row[0]: cell(split, str(row[0]), "mean") for row in split.rows}
     as_printed = held_out["samples held out, as in the paper"]
-    assert held_out["friction dealt out among the poses, samples held out"] < 1.5 * as_printed
+    assert held_out["friction permuted among the poses, samples held out"] < 1.5 * as_printed
     assert held_out["whole poses held out"] > 5 * as_printed
 
 
@@ -345,7 +345,7 @@ def test_poses_too_few_for_every_method_are_refused_with_the_reason() -> None:
 def test_a_paper_protocol_without_enough_poses_leaves_the_honest_one() -> None:
     asked = {**PAPER, "protocols": ["paper", "honest"], "methods": ["coulomb"]}
     found = studied(program(9, noise=1e-3), **asked)
-    assert warned(found, "the paper protocol is left out: 6 poses are too few")
+    assert warned(found, "the paper protocol is omitted: 6 poses are too few")
     assert "table-honest" in keys(found)
 
 
@@ -354,7 +354,7 @@ def test_dwells_with_nan_currents_are_left_out_and_told() -> None:
     effort = np.array(data["effort"])
     effort[3 * SAMPLES + 4, 2] = np.nan
     found = studied(data.with_columns(effort=effort))
-    assert warned(found, "1 dwells hold NaN or infinite positions or efforts and are left out")
+    assert warned(found, "1 dwells contain NaN or infinite positions or efforts and are omitted")
     assert np.isfinite([row[-1] for row in found.parts[1].tables[0].rows]).all()
 
 
@@ -373,7 +373,7 @@ def test_dwells_of_fewer_than_ten_samples_are_used_and_told() -> None:
 def test_dwells_that_never_settled_are_left_out_and_told() -> None:
     data = program(30)
     loose = tuple(replace(c, settled=i > 1) for i, c in enumerate(data.conditions))
-    assert warned(studied(replace(data, conditions=loose)), "2 dwells that never came to rest")
+    assert warned(studied(replace(data, conditions=loose)), "2 dwells that did not settle")
 
 
 def test_a_joint_that_never_moved_is_named() -> None:
@@ -395,25 +395,25 @@ def test_a_still_joint_that_gravity_turns_on_is_refused_with_its_name() -> None:
 def test_torques_leave_out_the_paper_and_are_told_in_their_own_unit() -> None:
     data = replace(program(30), effort_kind="torque", drive_gains=None)
     found = studied(data, protocols=["paper", "honest"])
-    assert warned(found, "the paper protocol is left out: eq. 16 to 20 are about motor currents")
+    assert warned(found, "the paper protocol is omitted: eq. 16 to 20 require motor currents")
     assert "N·m" in found.parts[1].tables[0].title
 
 
 def test_torques_alone_cannot_follow_the_paper() -> None:
     data = replace(program(30), effort_kind="torque", drive_gains=None)
-    with pytest.raises(FitError, match="about motor currents"):
+    with pytest.raises(FitError, match="require motor currents"):
         studied(data, protocols=["paper"])
 
 
 def test_one_sided_approaches_leave_out_the_band() -> None:
     found = studied(program(40, approaches=(1,)), methods=["gravity"])
-    assert warned(found, "no pose was approached from both sides")
+    assert warned(found, "no pose was approached from both directions")
     assert "table-sides" not in keys(found)
 
 
 def test_a_method_that_needs_more_than_was_recorded_is_left_out_with_the_reason() -> None:
     found = studied(replace(program(30), arrivals=None))
-    assert warned(found, "gravity + Fc·sign(approach) (static-coulomb) is left out")
+    assert warned(found, "gravity + Fc·sign(approach) (static-coulomb) is omitted")
     assert [row[0] for row in found.parts[1].tables[0].rows][:1] == ["gravity by WLS, shared"]
 
 

@@ -103,7 +103,7 @@ def test_no_more_tasks_are_under_way_than_an_executor_allows(
 ) -> None:
     monkeypatch.setattr(parallel, "LOOK_S", 0.01)
     stuck = Watched(ahead=2, answers=False)
-    with pytest.raises(FitError, match="no worker has been left"):
+    with pytest.raises(FitError, match="no worker has been available"):
         run_tasks(doubled(), 1, "doubling", silent, stuck)
     assert stuck.most == 2
 
@@ -113,7 +113,7 @@ def test_a_task_whose_worker_died_is_computed_again() -> None:
 
 
 def test_a_task_that_kills_worker_after_worker_is_given_up() -> None:
-    with pytest.raises(FitError, match="3 workers died"):
+    with pytest.raises(FitError, match="3 workers in succession died"):
         run_tasks(doubled(1), 1, "doubling", silent, Watched(deaths=3))
 
 
@@ -134,7 +134,7 @@ def die() -> None:
 
 @pytest.mark.thorough
 def test_a_process_that_dies_is_told_with_what_it_was_doing() -> None:
-    with pytest.raises(FitError, match="a process died while training") as caught:
+    with pytest.raises(FitError, match="a process died during: training") as caught:
         run_tasks([Task(die), Task(die)], 2, "training", silent)
     assert "jobs: 1" in caught.value.hint
 

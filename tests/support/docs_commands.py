@@ -168,7 +168,7 @@ def parse_mock(name: str, arguments: list[str]) -> None:
     from hil_mock_robot.ur.mock import parser_of as ur
 
     parsers = {"can": can, "plc": plc, "ur": ur}
-    if name in parsers and arguments[:1] != ["tell"]:
+    if name in parsers and arguments[:1] != ["send"]:
         parsers[name]().parse_args(arguments)
     elif name not in ("list", "embedded", *parsers) or (name not in parsers and arguments):
         raise ValueError(f"no mock {name!r} with {arguments}")

@@ -21,7 +21,7 @@ UNITS = {
 NAMED = {"joint", "parameter", "load"}
 """Axes along which names stand."""
 COUNTED = {
-    "dwell, in the order of the prediction", "dwell held out, in order of time",
+    "dwell, in the order of the prediction", "held-out dwell, in order of time",
     "test sample, in order of time", "epoch",
 }  # fmt: skip
 """Axes along which things are counted, and which say what."""

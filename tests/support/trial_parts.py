@@ -98,7 +98,7 @@ def short_trial():
     with pytest.MonkeyPatch.context() as patch:
         shorten(patch)
         station = folder / "station.yaml"
-        return api.try_out(model_folder(), folder / "out", station=station, robot="arm"), folder
+        return api.simulate(model_folder(), folder / "out", station=station, robot="arm"), folder
 
 
 def reference():

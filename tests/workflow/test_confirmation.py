@@ -265,7 +265,9 @@ def test_a_run_that_goes_on_with_an_arm_that_was_jogged_asks_again(
     real: object, begun: Path
 ) -> None:
     jogged(begun)
-    with pytest.raises(NotConfirmed, match=r"not as confirmed before: shoulder_pan.* goes") as no:
+    with pytest.raises(
+        NotConfirmed, match=r"changed since the earlier confirmation: shoulder_pan.* moves"
+    ) as no:
         hil.resume(begun)
     assert "robot='ur5'" in no.value.hint
     assert not (begun / "resume-01.json").exists()
@@ -334,7 +336,7 @@ FACTS: dict[str, Any] = {
         ({"speed_rad_s": 1.0}, "joint speed was 5.73°/s, is 57.3°/s"),
         (
             {"swept": FACTS["swept"] | {"joints": [joint(-1.5, 0.0)]}},
-            "elbow_joint goes -86° to 0°, confirmed were -57° to 57°",
+            "elbow_joint moves -86° to 0°, but -57° to 57° was confirmed",
         ),
         ({"swept": FACTS["swept"] | {"tool": box(0.6)}}, "the tool leaves the confirmed box"),
         ({"swept": FACTS["swept"] | {"joints": [joint(-0.5, 1.01)]}}, ""),
@@ -379,9 +381,9 @@ STEPS = [
     [
         (0, {}, ""),
         (1, {}, ""),
-        (0, {"swept": STEPS[1]["swept"]}, "elbow_joint goes -115° to 0°"),
+        (0, {"swept": STEPS[1]["swept"]}, "elbow_joint moves -115° to 0°"),
         (1, {"swept": FACTS["swept"] | {"joints": [joint(-2.0, 1.0)]}}, ""),
-        (1, {"swept": FACTS["swept"] | {"joints": [joint(-6.0, 6.0)]}}, "elbow_joint goes"),
+        (1, {"swept": FACTS["swept"] | {"joints": [joint(-6.0, 6.0)]}}, "elbow_joint moves"),
         (1, {"swept": FACTS["swept"] | {"elbow": box(1.0)}}, "the elbow leaves"),
         (0, {"loads": STEPS[1]["loads"]}, "loads was 0 kg, is 5 kg"),
         (1, {"loads": [{"mass_kg": 20.0, "com_m": [0, 0, 0]}]}, "loads was 5 kg, is 20 kg"),
@@ -869,7 +871,7 @@ def test_the_facts_say_that_the_way_to_the_first_pose_is_not_included(
         with pytest.raises(NotConfirmed):
             called(*verb)
         shown = "\n".join(console.shown)
-        assert "the way from where it stands to the first pose is not included" in shown
+        assert "the motion from the present pose to the first pose is not included" in shown
 
 
 def test_a_real_robot_without_an_address_cannot_be_named(

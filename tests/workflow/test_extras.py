@@ -72,8 +72,8 @@ def test_a_fit_names_all_that_it_lacks_before_it_reads_a_recording(tmp_path: Pat
     with pytest.raises(PluginError) as caught:
         hil.fit(tmp_path / "none", estimator="residual")
     assert caught.value.message.splitlines() == [
-        "residual needs cvxpy, which is not installed, by its base rigid-hysteresis for links that "
-        "can exist; consistent: false does without",
+        "residual needs cvxpy, which is not installed, by its base rigid-hysteresis for "
+        "physically consistent links; not needed with consistent: false",
         "residual needs torch, which is not installed, to train its network",
     ]
     assert caught.value.hint == 'pip install "hil[identify,learn]"'

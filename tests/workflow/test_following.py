@@ -99,7 +99,7 @@ def test_a_run_that_died_is_interrupted_and_told_where(tmp_path: Path) -> None:
     LiveState(run.path).notify(progress)
     (end,) = follow(run.path)
     assert (end["status"], end["exit_code"]) == ("interrupted", 1)
-    assert end["reason"] == "its process died at step 12 of 50; what was recorded is kept"
+    assert end["reason"] == "the process died at step 12 of 50; the recorded data are kept"
     assert end_line(end).endswith(f"next: hil resume {run.path}")
 
 
@@ -128,7 +128,7 @@ def test_a_rejected_model_ends_in_10(tmp_path: Path) -> None:
 
 
 def test_the_live_runs_are_found(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no run is live"):
+    with pytest.raises(DataError, match="no run is active"):
         newest_live(tmp_path)
     begun(tmp_path)
     first, second = begun(tmp_path), begun(tmp_path)
@@ -136,7 +136,7 @@ def test_the_live_runs_are_found(tmp_path: Path) -> None:
         assert only_live(tmp_path) == first.path
         with hold_run(second.path):
             assert newest_live(tmp_path) == second.path
-            with pytest.raises(DataError, match="2 runs are live"):
+            with pytest.raises(DataError, match="2 runs are active"):
                 only_live(tmp_path)
 
 
@@ -155,8 +155,8 @@ VIEW: dict[str, Any] = {
          " 25 %  2 gaps  1 duplicate  recorder 1.5 s behind  step 12/50 dwell, pose 5  "
          "1 min 15 s left"),
         ({"state": "paused", "reason": "lunch"}, "paused: lunch  step 12/50 dwell, pose 5"),
-        ({"prompt": "Mount it"}, "asks: Mount it  step 12/50 dwell, pose 5"),
-        ({"step": -2}, " 25 %  on the way back  1 min 15 s left"),
+        ({"prompt": "Mount it"}, "prompt: Mount it  step 12/50 dwell, pose 5"),
+        ({"step": -2}, " 25 %  returning to the plan  1 min 15 s left"),
         ({"state": "done", "stage": "fitting static-wls"}, "fitting static-wls"),
         ({"state": "stopping", "reason": "smoke"}, "stopping: smoke"),
     ],
@@ -176,23 +176,23 @@ def test_a_view_that_grows_old_says_so() -> None:
         ({"kind": "checkpoint", "step": 11}, "step 12: checkpoint"),
         ({"kind": "dwell", "step": 11, "settled": False, "elapsed_s": 3.0},
          "step 12: dwell did not settle in 3.00 s"),
-        ({"kind": "asked", "text": "Mount it"}, "asks: Mount it (answer: hil answer R yes)"),
-        ({"kind": "prompt", "text": "Mount it", "answered_by": ""}, "answered by nobody"),
+        ({"kind": "asked", "text": "Mount it"}, "question: Mount it (answer: hil answer R yes)"),
+        ({"kind": "prompt", "text": "Mount it", "answered_by": ""}, "answered by no operator"),
         ({"kind": "prompt", "text": "Mount it", "answered_by": "anna", "answer": "no"},
          "anna answered no"),
         ({"kind": "trip", "reason": "too hot"}, "tripped: too hot"),
         ({"kind": "control", "what": "stop", "who": "anna", "problem": "too late"},
-         "anna asked to stop (not done: too late)"),
+         "request from anna: stop (refused: too late)"),
         ({"kind": "control", "what": "unknown", "problem": "not a request"},
-         "somebody asked to unknown (not done: not a request)"),
+         "request from an unknown client: unknown (refused: not a request)"),
         ({"kind": "weighing", "load": 0, "result": "first", "half_difference_nm": [[4.7]]},
-         "load 0 weighed: the others are compared with it"),
+         "payload check of load 0: reference for the other loads"),
         ({"kind": "weighing", "load": 1, "result": "passed", "weighed_kg": 3.0},
-         "load 1 weighed: passed"),
+         "payload check of load 1: passed"),
         ({"kind": "weighing", "load": 1, "result": "waived", "problem": "2 kg instead of 3"},
-         "load 1 weighed: waived: 2 kg instead of 3"),
+         "payload check of load 1: waived: 2 kg instead of 3"),
         ({"kind": "weighing", "result": "skipped", "reason": "no gains"},
-         "loads are not weighed: no gains"),
+         "no payload check: no gains"),
         ({"kind": "weighed", "t": 1.0, "mass_kg": 3.1}, "weighed mass_kg=3.1"),
         ({"kind": "dwell", "step": "?"}, "dwell step=?"),
         ({"kind": "trip", "reason": "\x1b[2J"}, "tripped: ?[2J"),

@@ -127,7 +127,7 @@ def test_a_recording_is_judged_without_any_fit(tmp_path: Path, judge: Any) -> No
 @pytest.mark.usefixtures("_estimators")
 def test_a_failing_estimator_is_named_with_its_place_by_a_fit_alone(tmp_path: Path) -> None:
     run = run_with(tmp_path)
-    words = r"^faulty broke down: ZeroDivisionError: division by zero"
+    words = r"^faulty failed: ZeroDivisionError: division by zero"
     with pytest.raises(FitError, match=words + r" \(…/test_judging\.py:\d+ in fit\)"):
         hil.fit(run.path, estimator="faulty", out=tmp_path / "models")
 
@@ -138,7 +138,7 @@ def test_a_failing_fit_loses_no_other_model_and_says_why(tmp_path: Path) -> None
     with pytest.raises(FitError) as caught:
         judged(run)
     assert "unlucky: the stars are against it" in caught.value.message
-    assert "faulty: it broke down: ZeroDivisionError: division by zero" in caught.value.message
+    assert "faulty: it failed: ZeroDivisionError: division by zero" in caught.value.message
     assert re.search(r"\(…/test_judging\.py:\d+ in fit\)", caught.value.message)
     document = verdict_of(run)
     assert document["problems"][0]["hint"] == "wait for another night"
@@ -163,7 +163,7 @@ def test_page_and_terminal_say_which_model_is_missing_and_why(tmp_path: Path) ->
     run = run_with(tmp_path, "unlucky static-wls")
     with pytest.raises(FitError):
         judged(run)
-    said = "unlucky could not be fitted and judged: the stars are against it"
+    said = "unlucky could not be fitted and evaluated: the stars are against it"
     assert said in " ".join(" ".join(summary_lines(run.path)).split())
     assert said in render_report(run.path).read_text("utf-8")
 
@@ -191,7 +191,7 @@ def test_a_limit_on_the_mean_nrmse_warns_of_joints_without_signal(tmp_path: Path
         return " ".join(" ".join(summary_lines(run.path)).split())
 
     assert "NRMSE includes" not in told(0.3)
-    assert "the limit on the mean NRMSE includes shoulder_pan_joint, where" in told(0.99)
+    assert "the limit on the mean NRMSE includes shoulder_pan_joint. For these" in told(0.99)
 
 
 # What is fitted on and what is judged on: loads, motions, and both at once
@@ -227,7 +227,7 @@ def test_a_new_load_is_judged_on_motions_seen_with_other_loads_and_said_so() -> 
     parts = hold_out(program(), HoldOut(loads=(1,)))
     assert pairs(parts.train) == {(n, 0) for n in range(4)}
     assert pairs(parts.test) == {(n, 1) for n in range(4)}
-    assert parts.held_out == "load 1, motions seen in training with other loads"
+    assert parts.held_out == "load 1, motions of the training data with other payloads"
     assert parts.beside == ()
 
 
@@ -236,7 +236,7 @@ def test_new_loads_and_new_motions_are_judged_together_and_reported_apart() -> N
     assert pairs(parts.train) == {(0, 0), (1, 0), (2, 0)}
     assert pairs(parts.test) == {(3, 1)}
     assert parts.held_out == (
-        "the last trajectory with load 1: motions and loads the fit has not seen"
+        "the last trajectory with load 1: motions and payloads that are not in the training data"
     )
     beside = {what: pairs(data) for what, data in parts.beside}
     assert beside == {NEW_LOAD: {(0, 1), (1, 1), (2, 1)}, NEW_MOTION: {(3, 0)}}
@@ -247,7 +247,7 @@ def test_loads_are_called_by_their_mass() -> None:
     masses = [0.0, 3.0, 5.0]
     named = [replace(c, payload=Payload(masses[c.load])) for c in data.conditions]
     parts = hold_out(replace(data, conditions=tuple(named)), HoldOut(loads=(2, 1)))
-    assert parts.held_out == "3 kg and 5 kg, motions seen in training with other loads"
+    assert parts.held_out == "3 kg and 5 kg, motions of the training data with other payloads"
 
 
 @pytest.mark.parametrize("kind", ["trajectory", "dwell"])
@@ -333,7 +333,7 @@ def test_the_same_samples_under_another_load_are_refused() -> None:
 
 @pytest.mark.parametrize("how", [HoldOut(trajectories=0), HoldOut(loads=(7,))])
 def test_holding_out_nothing_is_refused(how: HoldOut) -> None:
-    with pytest.raises(DataError, match="nothing is held out"):
+    with pytest.raises(DataError, match="no data are held out"):
         hold_out(program(), how)
 
 
@@ -409,7 +409,7 @@ def test_the_terminal_labels_it_and_says_why(paper: tuple[RunDirectory, bool | N
     text = " ".join(" ".join(summary_lines(paper[0].path)).split())
     assert text.startswith("NOT JUDGED")
     assert "static-wls (paper protocol): RMSE" in text
-    assert f"It is not judged: {SAYS}." in text
+    assert f"The model is not judged: {SAYS}." in text
     assert "no acceptance criteria" not in text
 
 
@@ -417,7 +417,7 @@ def test_the_page_labels_it_wherever_it_is_named(both: tuple[RunDirectory, bool 
     run, _ = both
     page = render_report(run.path).read_text("utf-8")
     assert "(paper protocol)" in page
-    assert f"is no prediction and is not judged; {SAYS}." in page
+    assert f"is not a prediction and is not judged; {SAYS}." in page
 
 
 def test_the_verdict_is_told_of_the_honest_model(both: tuple[RunDirectory, bool | None]) -> None:
@@ -530,7 +530,7 @@ def test_the_verdict_has_a_row_for_every_model_and_one_for_the_declarations(done
     assert 1.0 < rows[0]["value"] < 3.0
     assert verdict(done[0])["verdict"] == "passed"
     text = " ".join(" ".join(summary_lines(done[0].path)).split())
-    assert "error under a load over that with the first ≤ 3" in text
+    assert "error under a load relative to the first load ≤ 3" in text
     assert "declared loads contradicted ≤ 0" in text
 
 
@@ -584,7 +584,7 @@ def test_a_run_that_lacks_loads_says_so_and_keeps_its_models(
     some = loads().select(lambda c: c.load == 0 or c.trajectory == 4)
     run, _, error = judged_loads(tmp_path, monkeypatch, SPEC + ACCEPT, some)
     assert error is not None
-    assert "under loads: 3 kg: no motion is left to identify it from" in str(error)
+    assert "under loads: 3 kg: no motion remains for its identification" in str(error)
     assert len(list(run.path.glob("fit/*/evaluation.json"))) == 2
     assert verdict(run)["problems"][0]["estimator"] == "under loads"
     assert list(run.path.glob("study/*/problem.json"))
@@ -609,7 +609,7 @@ def test_a_model_of_another_individual_is_told(
     saved = str(model.save(tmp_path / "model"))
     monkeypatch.setattr(studies, "serial_of", lambda run: "B2")
     (told,) = of_other_arms(tmp_path, [saved])
-    assert "OF ANOTHER ROBOT" in told
+    assert "BELONGS TO A DIFFERENT ROBOT" in told
     assert "A1" in told
     assert "B2" in told
     monkeypatch.setattr(studies, "serial_of", lambda run: "A1")

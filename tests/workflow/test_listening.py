@@ -149,7 +149,7 @@ def test_a_program_that_is_replaced_by_another_has_not_stopped(use, tmp_path):
 def test_for_a_time_by_the_robots_clock(use, tmp_path):
     use(Driven())
     found = recorded(tmp_path, for_s=2.0)
-    assert found.reason == "2 s are over"
+    assert found.reason == "the duration of 2 s has elapsed"
     assert 2.0 <= found.device_s <= 2.0 + BLOCK / 125
 
 
@@ -174,8 +174,8 @@ def test_the_report_can_be_made(use, tmp_path):
     page = render_report(found.run).read_text("utf-8")
     assert "recording" in page
     assert "hil resume" not in page
-    assert "is no plan" not in page
-    assert "Somebody else drove the robot" in page
+    assert "is not a plan" not in page
+    assert "Another program drove the robot" in page
 
 
 def test_without_a_load_declared_it_says_what_is_assumed(use, tmp_path):
@@ -247,7 +247,7 @@ def test_the_command_prints_one_document(use, tmp_path):
     assert document["found"] == {"dwell": 2, "move": 2}
     assert document["run"].endswith("teach")
     (note,) = document["notes"]
-    assert note.startswith("2 dwells are too few for static-wls, which needs 16: record longer")
+    assert note.startswith("2 dwells are too few for static-wls, which needs 16: record for longer")
     shown = CliRunner().invoke(app, ["show", document["run"]]).stdout
     assert f"next: hil fit {document['run']} --estimator static-wls" in " ".join(shown.split())
 
@@ -256,7 +256,7 @@ def test_an_arm_that_was_not_running_is_told(use, tmp_path):
     robot = use(Driven())
     robot._rows["status"][:50] |= int(Status.MASKED)
     notes = recorded(tmp_path, for_s=2.0).notes
-    assert any("50 of " in note and "of an arm that was not running" in note for note in notes)
+    assert any("50 of " in note and "while the arm was not running" in note for note in notes)
     robot = use(Driven())
     assert "not running" not in " ".join(recorded(tmp_path, for_s=2.0).notes)
 

@@ -88,7 +88,7 @@ def test_a_commissioning_run_is_not_judged_and_may_be_small(tmp_path: Path) -> N
     study = "\nstudy: [{study: static-separation}]\naccept: {rmse: {max: 1, unit: Nm}}"
     rest = SIX.replace("waypoints: 6", "waypoints: 3") + study
     path = written(tmp_path, f"weigh: false\nwarm_up: {{duration_s: 0}}\n{rest}")
-    words = ["run", str(path), "--first", "2", "--runs", str(tmp_path / "runs"), "--json"]
+    words = ["run", str(path), "--limit", "2", "--runs", str(tmp_path / "runs"), "--json"]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.exception
     assert json.loads(done.stdout)["outcome"] == "completed"
@@ -131,14 +131,14 @@ def test_too_little_for_a_fit_or_a_study_is_refused_with_what_would_do(
     ("rest", "message"),
     [
         (FOURIER + "accept: {nrmse: {max: 0.1}}",
-         "accept.nrmse: there is no model to judge: `fit` is empty"),
+         "accept.nrmse: there is no model to evaluate: `fit` is empty"),
         (DWELL + "fit: [{estimator: static-wls, form: paper, current_term: true}]\n"
          "accept: {rmse: {max: 1, unit: A}}",
-         "accept.rmse: no model of `fit` is judged: all of them follow the protocol of a paper"),
+         "accept.rmse: no model of `fit` is evaluated: all of them follow the protocol of a paper"),
         (FOURIER + LOADS + "fit: [{estimator: rigid-wls}]\nvalidate: {under_loads: true}\n"
          "accept: {load_error_ratio: {max: 2, told: calibrated}}",
-         "accept.load_error_ratio.told: `loads` needs a third load to calibrate the drive "
-         "gains with"),
+         "accept.load_error_ratio.told: `loads` needs a third load for the calibration of "
+         "the drive gains"),
     ],
 )  # fmt: skip
 def test_a_criterion_that_nothing_is_held_against_is_refused(
@@ -283,7 +283,7 @@ def test_the_only_pose_of_a_file_cannot_be_held_out(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_text(POSES.partition("\n")[0], "utf-8")
     (line,) = refused(tmp_path, OF_FILE + "\nfit: [{estimator: static-wls}]")
     assert line.endswith("validate.hold_out: holds out all 1 poses of excitation.file and leaves "
-                         "none to fit on")  # fmt: skip
+                         "none for the fit")  # fmt: skip
 
 
 @pytest.mark.thorough

@@ -213,7 +213,7 @@ def test_a_pause_asked_for_meanwhile_waits_and_the_question_is_repeated() -> Non
     asks, console = operator(None, None, None, "yes")
     wishes = iter(["", "SIGINT: Enter goes on", "SIGINT: Enter goes on", ""])
     assert asks(MOUNT, lambda: next(wishes)).yes
-    said = "pausing once the question is answered: SIGINT: Enter goes on\n"
+    said = "pausing after the answer to this prompt: SIGINT: Enter goes on\n"
     assert console.told[2:] == [said, console.told[1]]
 
 
@@ -303,7 +303,7 @@ def test_a_prompt_nobody_foresaw_ends_the_run(tmp_path: Path) -> None:
         ("- {prompt: 3, answer: yes}", "answers.yaml:1:12: 0.prompt: must be text"),
         ("- {prompt: '', answer: yes}", "0.prompt: must be text"),
         ("- {prompt: x, answer: yes, whom: me}", "0.whom: unknown key; did you mean 'who'"),
-        ("- {prompt: x, answer: yes, answer: no}", "is given twice"),
+        ("- {prompt: x, answer: yes, answer: no}", "occurs twice"),
         ("- !!python/object:os.system {}", "the tag"),
         ("- {", "answers.yaml:1:"),
     ],
@@ -376,7 +376,7 @@ def test_who_answers_from_elsewhere_is_waited_for_by_a_mock_too(tmp_path: Path) 
             assert asks.answer(True, "bert", MOUNT) == ""
 
     assert asks(MOUNT, answered_at_the_third_look) == Reply(True, "bert")
-    with pytest.raises(SpecError, match="two ways"):
+    with pytest.raises(SpecError, match="exclude each other"):
         console_channel(answers=tmp_path / "answers.yaml", remote=True)
 
 

@@ -242,7 +242,7 @@ def test_listening_ends_with_the_run_and_leaves_nothing(tmp_path: Path) -> None:
             holder = run_holder(tmp_path)
         rig.control.close()
         assert holder is not None
-        with pytest.raises(DataError, match="does not listen"):
+        with pytest.raises(DataError, match="does not accept requests"):
             drop(tmp_path, ControlRequest("stop", "anna", holder.id))
     assert rig.prompt.runs == [tmp_path, None]
     assert list(tmp_path.iterdir()) == []
@@ -254,7 +254,7 @@ def test_a_prompt_that_takes_no_answers_says_so(tmp_path: Path) -> None:
         rig.control = Control(tmp_path, rig.engine, rig.event, lambda text, meanwhile: "mock")
         with rig.control:
             event = rig.ask("answer", prompt="Mount it", yes=True)
-    assert event["problem"] == "the run takes no answers from elsewhere"
+    assert event["problem"] == "the run accepts no answers from other processes"
 
 
 def test_a_request_is_whole_when_it_appears(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -307,7 +307,7 @@ def test_a_prompt_is_answered_from_another_terminal(tmp_path: Path) -> None:
         until(lambda: read_live(run).get("prompt"))
         assert answer_run(run, True, who="anna").state == "running"
         until(lambda: moving(run))
-        with pytest.raises(DataError, match="asks nothing"):
+        with pytest.raises(DataError, match="has no open prompt"):
             answer_run(run, True, who="anna")
         stop_run(run, who="anna")
     (prompt,) = [e for e in read_events(run / "events.jsonl") if e["kind"] == "prompt"]
@@ -369,9 +369,9 @@ def test_a_run_that_died_is_refused_with_what_to_do(tmp_path: Path) -> None:
         process.send_signal(signal.SIGKILL)
         process.wait()
         assert not is_live(run)
-        with pytest.raises(DataError, match="is not live: it is interrupted") as caught:
+        with pytest.raises(DataError, match="is not active: its status is interrupted") as caught:
             stop_run(run, who="anna")
-    assert caught.value.hint == f"go on with it: hil resume {run}"
+    assert caught.value.hint == f"continue the run: hil resume {run}"
 
 
 @pytest.mark.wire
@@ -389,7 +389,7 @@ def test_a_suspended_process_does_not_react_and_the_request_is_withdrawn(tmp_pat
 def test_a_run_that_does_not_listen_yet_says_so(tmp_path: Path) -> None:
     run = RunDirectory.create(tmp_path, "ur5", "early")
     run.write_start({"uid": "u"})
-    with hold_run(run.path), pytest.raises(DataError, match="does not listen"):
+    with hold_run(run.path), pytest.raises(DataError, match="does not accept requests"):
         pause_run(run.path, who="anna", wait_s=0.2)
 
 
@@ -412,7 +412,7 @@ def test_watch_follows_a_run_in_a_pipe_and_survives_its_death(tmp_path: Path) ->
     assert "checkpoint" in told
     assert "dwell settled" in told
     assert " left\n" in told
-    assert f"{run}: interrupted: its process died at step" in told
+    assert f"{run}: interrupted: the process died at step" in told
     assert told.endswith(f"next: hil resume {run}\n")
     assert watcher.returncode == 1
 

@@ -224,7 +224,7 @@ def test_another_plan_is_refused(tmp_path: Path) -> None:
     plan = json.loads((run / "plan.json").read_text("utf-8"))
     plan["loads"][0]["mass_kg"] = 3.0
     (run / "plan.json").write_text(json.dumps(plan), "utf-8")
-    with pytest.raises(DataError, match=r"plan\.json is not what the run was begun with"):
+    with pytest.raises(DataError, match=r"plan\.json has changed since the run began"):
         hil.resume(run)
 
 
@@ -294,7 +294,7 @@ def test_going_back_to_an_earlier_load_is_asked_for(
     monkeypatch.setattr(completeness, "step_is_complete", lambda step, *_: step.index > dwell)
     told = Told(monkeypatch)
     hil.resume(run)
-    assert told.said[0].startswith("Take the load off again")
+    assert told.said[0].startswith("Remove the load again")
     assert told.said[1:] == ["0 kg", "Mount 2 kg", "2 kg"]
 
 
@@ -679,14 +679,14 @@ def test_a_run_that_was_killed_after_its_motion_is_resumed_to_its_report(
     assert not (run / RESERVE).exists()
     (listed,) = list_runs(run.parents[2])
     assert listed["next"] == ""
-    with pytest.raises(DataError, match="judged and reported"):
+    with pytest.raises(DataError, match="evaluated and reported"):
         hil.resume(run)
 
 
 @pytest.mark.usefixtures("_studies")
 def test_trainings_that_a_kill_left_after_the_verdict_are_forgotten(run: Path) -> None:
     (run / TRAINING / "lagrangian-0123456789ab").mkdir(parents=True)
-    with pytest.raises(DataError, match="judged"):
+    with pytest.raises(DataError, match="evaluated and reported"):
         hil.resume(run)
     assert not (run / TRAINING).exists()
 

@@ -93,7 +93,7 @@ def test_the_table_tells_the_same(station: Path) -> None:
     told = {row.split()[0]: row for row in rows}
     assert f"pid {os.getpid()}, since " in told["left"]
     assert "heartbeat" in told["left"]
-    assert "nobody" in told["right"]
+    assert "free" in told["right"]
     assert "private" in told["toy"]
     assert "address is missing" in told["odd"]
 
@@ -129,7 +129,7 @@ def test_a_second_process_is_told_to_look_there(station: Path) -> None:
     with leased(AddressedRobot(), **about), pytest.raises(RobotConnectionError) as caught:
         leased(AddressedRobot(), **about)
     told, wait = caught.value.hint.split("; ")
-    assert told == f"who holds what: hil robots --station {station}"
+    assert told == f"list the robots and their holders: hil robots --station {station}"
     assert "--wait" in wait
     with leased(AddressedRobot(), **about), pytest.raises(RobotConnectionError) as caught:
         leased(AddressedRobot(), **about, wait_s=0.05)

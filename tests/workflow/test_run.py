@@ -134,7 +134,7 @@ def test_the_shipped_experiment_with_loads_is_judged_on_what_is_new_in_both(tmp_
     assert (report.outcome, report.verdict) == ("completed", "passed")
     document = json.loads(next(report.run.glob("fit/*/evaluation.json")).read_text("utf-8"))
     assert document["held_out"]["what"] == (
-        "the last trajectory with 3 kg: motions and loads the fit has not seen"
+        "the last trajectory with 3 kg: motions and payloads that are not in the training data"
     )
     assert len(document["held_out"]["series"]) == 1
     assert [part["what"] for part in document["beside"]] == [
@@ -142,7 +142,7 @@ def test_the_shipped_experiment_with_loads_is_judged_on_what_is_new_in_both(tmp_
         "new motion, seen load",
     ]
     page = (report.run / "report.html").read_text("utf-8")
-    assert "new loads and new motions apart" in page
+    assert "new loads and new motions separately" in page
 
 
 def test_a_run_that_trips_keeps_its_data_and_is_not_judged(tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_the_mock_mounts_each_load_and_the_model_knows(tmp_path: Path) -> None:
     report = hil.run(hil.load(spec), runs=tmp_path)
     document = json.loads(next(report.run.glob("fit/*/evaluation.json")).read_text("utf-8"))
     assert report.error is None
-    assert document["held_out"]["what"] == "2 kg, motions seen in training with other loads"
+    assert document["held_out"]["what"] == "2 kg, motions of the training data with other payloads"
     assert report.verdict == "passed"
     data = load_source(report.run).of_kind("dwell")
     assert {(c.load, c.payload.mass) for c in data.conditions} == {(0, 0.0), (1, 2.0)}

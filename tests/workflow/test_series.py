@@ -168,12 +168,12 @@ def test_a_series_belongs_to_one_process(series: Series, folder: SeriesGroup) ->
     with folder.held():
         done = CliRunner().invoke(app, ["resume", str(folder.path)])
     assert isinstance(done.exception, DataError)
-    assert "belongs to pid" in str(done.exception)
+    assert "is in use by pid" in str(done.exception)
 
 
 def test_a_damaged_document_is_told(folder: SeriesGroup) -> None:
     (folder.path / "series.json").write_text('{"hil_series_run": 1, "runs": [3]}', "utf-8")
-    with pytest.raises(DataError, match="no list of runs"):
+    with pytest.raises(DataError, match="is not a list of runs"):
         SeriesGroup.open(folder.path)
 
 
@@ -222,7 +222,7 @@ def test_what_is_left_of_a_slow_series_is_run_as_slowly(series: Series, tmp_path
 @pytest.mark.thorough
 def test_a_series_is_planned_with_the_options_it_is_run_with(pair: Path) -> None:
     durations = []
-    for options in ((), ("--speed", "10%")):
+    for options in ((), ("--speed-scale", "10%")):
         done = CliRunner().invoke(app, ["plan", str(pair), *options, "--json"])
         assert done.exit_code == 0, done.output
         durations.append(json.loads(done.stdout)["duration_s"])
@@ -282,7 +282,7 @@ def test_of_a_finished_series_nothing_is_left_to_do(series: Series, folder: Seri
     assert done.exit_code == 0, done.output
     (line,) = done.stdout.splitlines()
     page = folder.path / "series.html"
-    assert line == f"nothing is left to do of Three.of-Them; overview: {page}"
+    assert line == f"Three.of-Them is complete; overview: {page}"
     told = CliRunner().invoke(app, ["resume", str(folder.path), "--json"])
     assert (told.exit_code, json.loads(told.stdout)["exit_code"]) == (0, 0)
 
@@ -306,5 +306,5 @@ def test_the_overview_has_the_errors_of_the_models_and_the_time_as_runs_have_it(
     page = (run_series(series, at_one, measured).page or Path()).read_text("utf-8")
     for text in ("rigid-wls", "0.0123", "0.00420"):
         assert page.count(f">{text}</td>") == 3
-    assert "begun 22 Nov 2026, 11:08 UTC" in page
+    assert "started 22 Nov 2026, 11:08 UTC" in page
     assert "from the studies" not in page

@@ -250,7 +250,7 @@ def test_a_spec_named_as_an_option_is_a_spec(
     monkeypatch.setattr(background_runs, "begin", begin)
     started = start_run(Path("--runs=x.yaml"), tmp_path / "runs", speed="10%", first="30s")
     until(lambda: not started.alive, 20)
-    assert given[0][-4:] == ["--speed=10%", "--first=30s", "--", "--runs=x.yaml"]
+    assert given[0][-4:] == ["--speed-scale=10%", "--limit=30s", "--", "--runs=x.yaml"]
     assert started.last_words == ["none"]  # the token is nothing for a run and its plugins
 
 

@@ -135,7 +135,7 @@ def test_other_parameters_stand_beside_it(tmp_path: Path) -> None:
     ("ending", "told"),
     [
         ("fails", "the study counted: there are too few poses"),
-        ("breaks", "the study counted: counted broke down: ZeroDivisionError: division by zero"),
+        ("breaks", "the study counted: counted failed: ZeroDivisionError: division by zero"),
     ],
 )
 def test_a_study_that_fails_costs_no_other(tmp_path: Path, ending: str, told: str) -> None:
@@ -152,7 +152,7 @@ def test_a_run_whose_study_fails_is_complete_and_told(tmp_path: Path) -> None:
     assert report.outcome == "completed"
     assert isinstance(report.error, FitError)
     assert (report.run / "verdict.json").is_file()
-    assert "The study counted could not be made" in " ".join(summary_lines(report.run))
+    assert "The study counted failed" in " ".join(summary_lines(report.run))
 
 
 @pytest.mark.thorough
@@ -160,7 +160,7 @@ def test_ctrl_c_leaves_the_run_complete_and_says_how_to_go_on(tmp_path: Path) ->
     report = run(tmp_path, "{study: counted}", "{study: counted, ending: ctrl-c}")
     assert isinstance(report.error, Stopped)
     assert report.error.by_signal
-    assert report.error.hint == f"make them with: hil study {report.run}"
+    assert report.error.hint == f"compute the missing studies: hil study {report.run}"
     assert RunDirectory.open(report.run).status == "completed"
     assert report.report is not None
     assert len(study_files(report.run)) == 1
@@ -189,7 +189,7 @@ def test_a_study_is_made_of_a_run_whose_spec_names_none(tmp_path: Path) -> None:
 
 def test_parameters_for_one_of_several_studies_are_refused(tmp_path: Path) -> None:
     path = recorded(tmp_path, "{study: counted}", "{study: counted, rounds: 1}")
-    with pytest.raises(SpecError, match="could be for any of counted, counted"):
+    with pytest.raises(SpecError, match="could belong to any of the studies counted, counted"):
         entries_for(path, None, {"rounds": 9})
 
 

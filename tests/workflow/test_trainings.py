@@ -122,7 +122,7 @@ def test_a_training_that_cannot_be_gone_on_with_is_begun_anew(
     assert Trained.begun_at == [0, 0]
     (note,) = (event for event in told if event["kind"] == "fit_note")
     assert note["estimator"] == "trained"
-    assert note["text"] == "of another training; this training begins anew"
+    assert note["text"] == "of another training; this training starts again from the beginning"
 
 
 FIT = Fit(estimator="trained")
@@ -148,7 +148,7 @@ def test_only_the_training_that_is_refused_is_begun_anew(tmp_path: Path) -> None
 
     assert fit_or_continue(tmp_path, FIT, make, notes.append) == "fitted"
     assert [one.name for one in folder.iterdir()] == ["two"]
-    assert notes == ["it is damaged; this training begins anew"]
+    assert notes == ["it is damaged; this training starts again from the beginning"]
 
 
 @pytest.mark.parametrize("where", ["", ".."])
@@ -180,7 +180,7 @@ def test_a_full_disk_is_told_once_and_the_fit_goes_on(tmp_path: Path) -> None:
     for number in (1, 2):
         news.not_kept(DataError(f"no checkpoint can be written in network-{number}"))
     assert [event["text"] for event in told] == [
-        "no checkpoint can be written in network-1; the fit goes on without"
+        "no checkpoint can be written in network-1; the fit continues without checkpoints"
     ]
 
 
@@ -217,8 +217,9 @@ def test_ctrl_c_during_a_fit_says_how_to_go_on(
     experiment: Any = SimpleNamespace(spec=load_spec(run.path / "spec.yaml"))
     error = judge_and_study(experiment, recorded, signals, Observers())
     assert isinstance(error, Stopped)
-    assert "during the fits; the recording is complete; the training is kept" in error.message
-    assert error.hint == f"go on with: hil resume {run.path}"
+    assert "during the fits; the recording is complete; " in error.message
+    assert "the state of the training is kept" in error.message
+    assert error.hint == f"continue with: hil resume {run.path}"
 
 
 EPOCH = {"stage": "joint", "epoch": 1, "epochs": 40, "loss": 2.0, "validation": 1.0, "best": 1.0,
@@ -254,9 +255,9 @@ def test_a_pipe_hears_of_a_long_training_every_two_minutes(
 
 
 def test_what_a_fit_has_to_say_stays_on_the_screen(capsys: pytest.CaptureFixture[str]) -> None:
-    note = FITTED | {"kind": "fit_note", "text": "it is damaged; this training begins anew"}
-    ProgressLines().notify(note)
-    said = "fit 1 of 2: lagrangian: it is damaged; this training begins anew\n"
+    text = "it is damaged; this training starts again from the beginning"
+    ProgressLines().notify(FITTED | {"kind": "fit_note", "text": text})
+    said = f"fit 1 of 2: lagrangian: {text}\n"
     assert capsys.readouterr().err == said
 
 

@@ -95,7 +95,7 @@ def test_one_kilogram_instead_of_three_is_found_and_named(profile: str) -> None:
     assert first.startswith("weighing: load 1: 3.00 kg declared, ")
     assert "centre of mass" not in first
     assert [line.split(":")[0].strip() for line in joints] == list(cylinder().joint_names)
-    assert "mount the load that is declared" in light.result.error.hint
+    assert "mount the declared load" in light.result.error.hint
     assert light.events[-1]["result"] == "failed"
     assert light.events[-1]["weighed_kg"] == pytest.approx(1.0, abs=0.2)
 
@@ -112,7 +112,7 @@ def test_a_load_left_on_while_the_bare_flange_was_weighed_is_found() -> None:
     found = weigh(cylinder(), lambda load: cylinder().loads[1].payload, seed=4)
     assert found.events[-1]["weighed_kg"] == pytest.approx(0.0, abs=0.15)
     assert found.events[-1]["result"] == "failed"
-    assert "against the 0.00 kg of load 0" in found.message
+    assert "relative to the 0.00 kg of load 0" in found.message
 
 
 @pytest.mark.thorough
@@ -140,7 +140,7 @@ def test_a_mount_turned_by_half_a_turn_is_found_by_its_centre_of_mass(profile: s
     assert event["result"] == "failed"
     assert event["weighed_kg"] == pytest.approx(3.0, abs=0.45)
     assert event["shift_m"][0] == pytest.approx(-2 * x, abs=0.015)
-    assert "centre of mass at (0.030, 0.000, 0.050) m declared" in found.message
+    assert "centre of mass declared at (0.030, 0.000, 0.050) m" in found.message
 
 
 @pytest.mark.thorough
@@ -220,7 +220,7 @@ def test_the_message_says_what_was_declared_and_weighed_joint_by_joint() -> None
     assert step.motion is not None
     q = step.motion.q_end[None]
     shoulder = (model.with_payload(scales.plan.loads[1].payload).gravity(q) - model.gravity(q))[0]
-    assert told[1].strip() == "torque it adds, pose by pose [N·m]:"
+    assert told[1].strip() == "additional torque of the load, pose by pose [N·m]:"
     assert f"shoulder_lift_joint: {shoulder[1]:.1f}, " in told[3]
     assert f"declared, {shoulder[1] / 3:.1f}, " in told[3]
     assert "--waive" in failed.value.hint
@@ -237,7 +237,9 @@ def test_a_load_is_compared_with_the_first_one_of_an_earlier_attempt() -> None:
 def test_a_first_load_that_was_not_recorded_leaves_nothing_to_compare_with() -> None:
     scales = Scales(cylinder_sweep())
     scales.weighing.restore(dict.fromkeys(scales.earlier(), "nothing was recorded"))
-    with pytest.raises(PreflightFailed, match=r"the first load is missing: .*nothing was recorded"):
+    with pytest.raises(
+        PreflightFailed, match=r"readings of the first load are missing: .*nothing was recorded"
+    ):
         scales.weigh(1)
 
 
@@ -266,7 +268,7 @@ def test_a_dwell_that_says_nothing_fails(field: str, value: float, told: str) ->
         scales.weighing.measured(step, scales.settled(step))
     rows = scales.settled(last)
     rows[field] = value
-    with pytest.raises(PreflightFailed, match=f"weighing pose 2 from above, .*{told}"):
+    with pytest.raises(PreflightFailed, match=f"payload-check pose 2 from above, .*{told}"):
         scales.weighing.measured(last, rows)
 
 
@@ -281,9 +283,9 @@ def test_other_dwells_are_no_business_of_the_weighing() -> None:
 @pytest.mark.parametrize(
     ("loads", "changes", "kind", "reason"),
     [
-        (bodies(0, 3), {}, "current", "drive gains are not known"),
+        (bodies(0, 3), {}, "current", "drive gains are unknown"),
         (bodies(3, 0), {}, "torque", "is not the lightest"),
-        (bodies(0, 3), {"weigh": False}, "torque", "switches weighing off"),
+        (bodies(0, 3), {"weigh": False}, "torque", "disables the payload check"),
     ],
 )
 def test_loads_that_cannot_be_weighed_are_not_and_that_is_said(
@@ -320,8 +322,8 @@ def test_a_load_left_on_where_the_first_one_is_weighed_again_is_found() -> None:
         scales.weigh(0)
     told = failed.value.message
     assert told.startswith("weighing: load 0: 0.00 kg declared, 3.0")
-    assert "against the 0.00 kg of load 0 in an earlier attempt (limit" in told
-    assert "mount load 0 as it was" in failed.value.hint
+    assert "relative to the 0.00 kg of load 0 in an earlier attempt (limit" in told
+    assert "mount load 0 as in the earlier attempt" in failed.value.hint
     assert '--waive "weighing=REASON"' in failed.value.hint
     assert scales.events[-1]["result"] == "failed"
 
@@ -350,13 +352,13 @@ def test_the_first_load_weighed_again_has_the_limits_of_any_other(kg: float, pas
 def test_an_earlier_weighing_that_cannot_be_read_is_said_and_the_run_goes_on() -> None:
     scales = Scales(cylinder_sweep(), cylinder_left_on)
     readings = scales.earlier()
-    readings[min(readings)] = "the recording is torn"
+    readings[min(readings)] = "the recording is incomplete"
     scales.weighing.restore(readings)
     scales.weigh(0)
     (event,) = scales.events
     assert event["result"] == "inconclusive"
-    assert event["problem"].startswith("load 0: its weighing in an earlier attempt cannot be read ")
-    assert "at weighing pose 1 from below, the recording is torn" in event["problem"]
+    assert event["problem"].startswith("load 0: the weighing of an earlier attempt cannot be read ")
+    assert "at payload-check pose 1 from below, the recording is incomplete" in event["problem"]
 
 
 @pytest.mark.thorough
@@ -416,8 +418,8 @@ def test_loads_of_one_mass_and_different_centres_are_not_weighed_and_that_is_sai
     cylinder_sweep = sweep(CYLINDER, further)
     (event,) = Scales(cylinder_sweep).events
     assert event["result"] == "skipped"
-    assert "no two loads of different mass" in event["reason"]
-    assert any("no load is weighed" in warning for warning in preview(cylinder_sweep).warnings)
+    assert "all loads have the same mass" in event["reason"]
+    assert any("no payload check" in warning for warning in preview(cylinder_sweep).warnings)
     assert Scales(sweep(CYLINDER, CYLINDER)).events == []
 
 
@@ -602,4 +604,4 @@ def test_a_torn_weighing_that_was_measured_after_is_said_and_no_reason_to_stop(
     assert hil.resume(run).outcome == "completed"
     assert weighings(run) == [(0, "first"), (0, "inconclusive"), (1, "passed")]
     page = " ".join((run / "report.html").read_text("utf-8").split())
-    assert "in an earlier attempt cannot be read (at weighing pose 1 from below, the" in page
+    assert "in an earlier attempt cannot be read (at payload-check pose 1 from below, the" in page

@@ -1,11 +1,18 @@
-"""An arm on CiA 402 drives: CANopen over CAN now, the same object dictionary as EtherCAT's CoE.
+"""Driver for arms with CiA 402 drives on CANopen; EtherCAT drives have the same objects (CoE).
 
-From top to bottom: `robot` is the driver that `hil` opens; it runs `axes_robot` in a process of its
-own. That has a `session` while it is connected: drives are set up (`commissioning`), then a thread
-exchanges cycles (`core`, `timing`), in which the `supervisor` judges all axes (`axis`) and the
-`player` writes the set-points of a `track`, in CSV and CST by position control (`gains`), with
-torques of the arm's `torque` model. `rows` has the record of a cycle and makes rows of it;
-`profile` scales raw integers to SI. All of that stands on the `bus` protocol, the `objects` and
-their `mapping` into process data. Below it is CAN: `can_bus`, `can_cycle`, `can_channel`; `replay`
-rebuilds a recording from a log of its frames.
+The modules of the driver, from the public interface down to the bus:
+
+- `robot` is the driver that `hil` opens. The driver runs `axes_robot` in a separate process.
+- A `session` represents the connection to the drives, from connecting to closing. Before the first
+  cycle of a session, `commissioning` checks and configures the drives. After this check, a thread
+  exchanges set-points and measurements with the drives in every cycle (`core`, `timing`).
+- In each cycle the `supervisor` monitors all axes (`axis`), and the `player` writes the set-points
+  of a `track`. In the modes CSV and CST, the set-points come from position control (`gains`), with
+  feed-forward torques from the `torque` model of the arm.
+- `rows` defines the record of a cycle and converts records to rows of a recording. `profile`
+  converts raw integers to SI units.
+- All modules named so far are independent of the type of bus: they use only the `bus` protocol, the
+  `objects` of the drives and the `mapping` of objects into process data.
+- `can_bus`, `can_cycle` and `can_channel` implement the `bus` protocol on CAN. `replay` rebuilds a
+  recording from a log of the CAN frames.
 """

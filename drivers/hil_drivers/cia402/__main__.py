@@ -1,4 +1,4 @@
-"""`python -m hil_drivers.cia402 reset STATION ROBOT`: faults that a person has seen to."""
+"""Reset drive faults after a manual check: `python -m hil_drivers.cia402 reset STATION ROBOT`."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from hil_drivers.cia402.robot import Cia402Robot
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Show the drives in fault, with their errors, and reset them; returns the exit code."""
+    """Print the drives in fault with their errors, reset their faults, return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m hil_drivers.cia402", description=__doc__)
     parser.add_argument("do", choices=["reset"], help="reset the faults of all drives")
     parser.add_argument("station", type=Path, help="station file")
-    parser.add_argument("robot", help="its robot")
-    asked = parser.parse_args(arguments)
+    parser.add_argument("robot", help="name of the robot in the station file")
+    options = parser.parse_args(arguments)
     try:
-        return _reset(asked.station, asked.robot)
+        return _reset(options.station, options.robot)
     except HilError as error:
         print(error, file=sys.stderr)  # noqa: T201
         return error.exit_code
 
 
 def _reset(station: Path, name: str) -> int:
-    """Reset all; returns 1 where a fault is still there."""
+    """Reset the faults of all drives; return exit code 1 if a fault is still present, else 0."""
     entry = _entry(station, name)
     robot = Cia402Robot(name, entry.model, **entry.options)
     options, names = options_of(entry.options, entry.model), load_arm(entry.model).joint_names
@@ -45,9 +45,9 @@ def _reset(station: Path, name: str) -> int:
     ):
         faults = faults_left(bus.acyclic)
         left = [fault for fault in faults if not reset(bus.acyclic, fault)]
-        unwatch(bus.acyclic)  # else the end of this would be the next fault
+        unwatch(bus.acyclic)  # else the lost heartbeat is a new fault
     for fault in faults:
-        print(f"{fault}: {'still there' if fault in left else 'reset'}")  # noqa: T201
+        print(f"{fault}: {'still active' if fault in left else 'reset'}")  # noqa: T201
     if not faults:
         print("no drive is in fault")  # noqa: T201
     return 1 if left else 0
@@ -58,7 +58,8 @@ def _entry(station: Path, name: str) -> StationRobot:
     if name not in robots or robots[name].driver != "cia402":
         known = [each for each, robot in robots.items() if robot.driver == "cia402"]
         raise SpecError(
-            f"{station} has no robot {name!r} on CiA 402 drives", hint=f"it has {', '.join(known)}"
+            f"{station} has no robot {name!r} on CiA 402 drives",
+            hint=f"robots on CiA 402 drives: {', '.join(known) or 'none'}",
         )
     return robots[name]
 

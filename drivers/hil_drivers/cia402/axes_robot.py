@@ -1,9 +1,9 @@
-"""The robot in the process that owns the bus: a `hil.robot.Robot` of as many drives as joints.
+"""Robot in the process that owns the bus: a `hil.robot.Robot` with one drive per joint.
 
-`AxesRobot` turns the calls of `hil.robot.Robot` into those of a `Session` and decides on which
-field bus that runs. Another thread may stop at any moment, also while the drives are being
-connected or a segment is being prepared: `_stops` counts the stops, and a connection or preparation
-that began before the last stop is refused.
+`AxesRobot` forwards the calls of `hil.robot.Robot` to a `Session` and selects the field bus.
+Another thread can call `stop` at any moment, also while the drives are being connected or a segment
+is being prepared. Therefore `_stops` counts the stops, and a connection or preparation that began
+before the last stop is refused.
 """
 
 from __future__ import annotations
@@ -31,22 +31,27 @@ from hil_drivers.cia402.session import NEXT, Session
 from hil_drivers.cia402.torque import GRAVITY, TorqueModel
 from hil_drivers.cia402.track import track_of
 
-GAINS_SOURCE = "rated torque and current of the drives (6075h, 6076h) times gear, or the station's"
+GAINS_SOURCE = (
+    "rated torque and rated current of the drives (6075h, 6076h) times gear ratio, or values of "
+    "the station"
+)
 
 REST_S = 2.0
-"""How long an arm may take to come to rest before its axes are switched off [s]."""
+"""Longest wait for the arm to come to rest before its axes are switched off [s]."""
 
 
 class AxesRobot:
-    """Implements `hil.robot.Robot`; everything but `stop` is called by one thread.
+    """Implementation of `hil.robot.Robot` in the process that owns the field bus.
+
+    Only one thread may call the methods of this class; `stop` alone can be called by any thread.
 
     Args:
-        name: The robot's name in its station.
-        model: A built-in arm.
-        options: See `hil_drivers.cia402.options.Options`.
+        name: Name of the robot in its station.
+        model: Name of an arm model that comes with hil.
+        options: Options of the station, as described in `hil_drivers.cia402.options.Options`.
 
     Raises:
-        SpecError: An option is missing, unknown, or cannot be.
+        SpecError: An option of the station is missing, unknown or invalid.
     """
 
     def __init__(self, name: str, model: str, **options: Any) -> None:
@@ -63,23 +68,23 @@ class AxesRobot:
 
     @property
     def resource(self) -> str:
-        """See `hil.robot.HasResource`."""
+        """Identifier of the bus as an exclusive resource; see `hil.robot.HasResource`."""
         return self._options.resource
 
     @property
     def address(self) -> Address:
-        """See `hil.robot.HasAddress`."""
+        """Address of the bus; see `hil.robot.HasAddress`."""
         return self._options.address
 
     @property
     def identity(self) -> Identity:
-        """See `hil.robot.Robot`."""
+        """Identity of the arm and its drives; see `hil.robot.Robot`."""
         session = self._connected()
         return session.drives.identity(self._model, session.faults_reset)
 
     @property
     def capabilities(self) -> Capabilities:
-        """See `hil.robot.Robot`; once connected, the gains are those of the drives."""
+        """Capabilities of the arm, with the gains of the drives while connected."""
         rate_hz, effort = self._options.rate_hz, self._options.effort
         if self._session is None:
             return capabilities_of(self._model, rate_hz, effort)
@@ -88,36 +93,41 @@ class AxesRobot:
 
     @property
     def limits(self) -> Limits:
-        """See `hil.robot.Robot`; once connected, none is wider than the drives' own."""
+        """Limits of the arm; while connected, no limit is wider than that of the drives."""
         session = self._session
         return limits_of(self._model, session.drives.reported_limits if session else None)
 
     @property
     def topics(self) -> Sequence[Topic]:
-        """See `hil.robot.HasTopics`."""
+        """Topic of the raw drive values; see `hil.robot.HasTopics`."""
         return (self._topic,)
 
     def drain(self) -> Mapping[str, StructArray]:
-        """See `hil.robot.HasTopics`."""
+        """Return the raw drive values since the last call; see `hil.robot.HasTopics`."""
         return self._session.samples.drain() if self._session else {}
 
     def checks(self) -> Sequence[Finding]:
-        """See `hil.robot.HasChecks`."""
+        """Return the preflight checks of this driver; see `hil.robot.HasChecks`."""
         session = self._healthy()
         model = session.torque or TorqueModel(self._model, self._options.urdf, self._gravity)
         model.mount(self._payload)
         return list(session.findings(model))
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
-        """Set gravity in the base frame [m/s²] for the torque model; call before `connect`."""
+        """Set the gravity vector of the torque model [m/s², base frame]; call before `connect`."""
         self._gravity = gravity_m_s2
 
     def connect(self) -> None:
-        """Join the bus, set all drives up, start the cycles, enable all axes where they are.
+        """Open the bus, configure all drives, start the cycles and enable all axes.
+
+        After connecting, all axes hold their present positions.
 
         Raises:
-            RobotConnectionError, RobotFault, RobotTimeout: See `Session`.
-            CommandRefused: Likewise; or `stop` was called meanwhile, and the axes are off.
+            RobotConnectionError: See `Session`.
+            RobotFault: See `Session`.
+            RobotTimeout: See `Session`.
+            CommandRefused: A drive does not accept a setting; or `stop` was called during
+                connecting, and the axes are off.
         """
         if self._session is not None and not self._session.trouble.is_there:
             return
@@ -130,11 +140,11 @@ class AxesRobot:
             raise
 
     def _begin(self, stops: int) -> None:
-        """Connect, unless `stop` was called since there were so many stops."""
+        """Connect the drives; raise if the number of stops has changed from `stops`."""
 
         def go_on() -> None:
             if self._stops != stops:
-                raise CommandRefused("stopped while connecting", hint="connect again")
+                raise CommandRefused("the arm was stopped while connecting", hint="connect again")
 
         self._payload, self._has_moved = Payload(), False
         self._session = self._join()
@@ -145,7 +155,7 @@ class AxesRobot:
             raise
 
     def _join(self) -> Session:
-        """Join the bus and set all drives up; nothing moves, no axis is enabled yet."""
+        """Open the bus and configure all drives without enabling or moving an axis."""
         options, arm = self._options, load_arm(self._model)
         needed = options.feed_forward or options.trajectory_mode == "cst"
         torque = TorqueModel(self._model, options.urdf, self._gravity) if needed else None
@@ -153,15 +163,19 @@ class AxesRobot:
         return Session(self._name, arm, options, bus, self._topic, torque)
 
     def set_payload(self, payload: Payload) -> Payload:
-        """Keep a load for the torque model; declare it to drives that have an object for it.
+        """Set the payload of the torque model, and write it to drives that have a payload object.
 
         Raises:
-            CommandRefused: It is too heavy, the arm is moving, or a drive does not take it.
+            CommandRefused: The payload is too heavy for the arm, the arm is moving, or a drive does
+                not accept the payload.
         """
         session = self._healthy()
         require_liftable(payload, self.limits)
         if session.player.moving:
-            raise CommandRefused("a load is declared at rest", hint="read until the arm holds")
+            raise CommandRefused(
+                "a payload can be declared only at standstill",
+                hint="read until the status is HOLDING",
+            )
         read_back = payload
         if self._options.payload_object:
             read_back = declare(session.acyclic, self._options.payload_object, payload)
@@ -172,11 +186,13 @@ class AxesRobot:
         return read_back
 
     def prepare(self, segment: Segment) -> None:
-        """Check the next segment and keep it for `start`.
+        """Check the next segment of the plan and store it for `start`.
 
         Raises:
-            CommandRefused: It leaves the limits, jumps, moves at its ends, or begins elsewhere.
-            RobotFault: There was a fault since `connect`.
+            CommandRefused: The segment leaves the limits, jumps, has a speed other than 0 at its
+                first or last sample, or does not begin at the present position; or `stop` was
+                called during the preparation.
+            RobotFault: A fault occurred since `connect`.
         """
         session, stops = self._healthy(), self._stops
         self._prepared = False
@@ -193,15 +209,18 @@ class AxesRobot:
         )
         session.core.prepare(track)
         self._prepared = stops == self._stops
-        if not self._prepared:  # a stop meanwhile takes effect
-            raise CommandRefused("stopped while it was prepared", hint="prepare it again")
+        if not self._prepared:  # `stop` was called during the preparation
+            raise CommandRefused(
+                "the arm was stopped while the segment was prepared",
+                hint="prepare the segment again",
+            )
 
     def start(self) -> None:
-        """Begin the prepared segment with the next cycle.
+        """Start the motion along the prepared segment with the next cycle.
 
         Raises:
-            CommandRefused: Nothing is prepared, or the arm moves.
-            RobotFault: There was a fault since `connect`.
+            CommandRefused: No segment is prepared, or the arm moves.
+            RobotFault: A fault occurred since `connect`.
         """
         session = self._healthy()
         prepared, self._prepared = self._prepared, False
@@ -211,15 +230,15 @@ class AxesRobot:
         self._has_moved = True
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
-        """Return all samples since the last call.
+        """Return all samples of the arm that were recorded since the last call.
 
-        The rows that show a fault are returned; the next call raises the fault, once, so that the
-        arm can be followed until it is at rest.
+        A call returns also the samples that show a fault. The call after these samples raises the
+        fault, one time only, so that the motion of the arm is recorded until the arm is at rest.
 
         Raises:
-            RobotTimeout: No sample in time.
-            RobotFault: An axis has failed, and all were stopped.
-            RobotConnectionError: The bus is gone.
+            RobotTimeout: No sample arrived within the timeout.
+            RobotFault: An axis has failed, and all axes were stopped.
+            RobotConnectionError: The connection to the bus is lost.
         """
         session = self._connected()
         until = time.monotonic() + timeout_s
@@ -238,7 +257,7 @@ class AxesRobot:
         return rows
 
     def stop(self) -> None:
-        """Ramp down along the way, with the next cycle, and hold; from any thread."""
+        """Decelerate along the path from the next cycle on, then hold; any thread can call this."""
         self._stops += 1
         self._prepared = False
         session = self._session
@@ -246,7 +265,7 @@ class AxesRobot:
             session.core.stop(self._options.stop_rad_s2)
 
     def close(self) -> None:
-        """Stop, switch all axes off, leave the bus."""
+        """Stop the arm, switch all axes off and close the bus."""
         session, self._session = self._session, None
         self._prepared = False
         if session is not None:
@@ -261,6 +280,6 @@ class AxesRobot:
         session = self._connected()
         if session.trouble.is_there:
             raise RobotFault(
-                f"{self._name} does not obey since a fault: {session.trouble.text}", hint=NEXT
+                f"{self._name} accepts no commands since a fault: {session.trouble.text}", hint=NEXT
             )
         return session

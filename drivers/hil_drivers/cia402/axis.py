@@ -1,9 +1,10 @@
-"""One CiA 402 axis as its master sees it: the state machine, the modes, and whether it obeys.
+"""CiA 402 axis from the master's side: state machine, modes, and checks that the axis obeys.
 
-The state machine (`State`, `Goal`, controlwords) is a set of pure functions: what a drive is told
-next follows from the statusword that it has just sent and from where it is to be brought. No state
-is kept here that could differ from the drive's own, and all axes go through the states at once.
-The controlword by state and goal, with the state that it leads to:
+The state machine (`State`, `Goal`, controlwords) consists of pure functions: the next controlword
+follows from the newest statusword of the drive and from the goal. The module stores no copy of the
+drive's state, so a stored state can never differ from the real one. All axes pass the states
+together. The following table contains, for each state and goal, the controlword and the next state
+of the drive:
 
 | drive's state          | goal: enabled                        | goal: off                     |
 |------------------------|--------------------------------------|-------------------------------|
@@ -17,12 +18,13 @@ The controlword by state and goal, with the state that it leads to:
 | fault                  | 00h: stays                           | 00h: stays                    |
 | none of CiA 402        | 02h quick stop                       | 00h disable voltage           |
 
-The goal quick stop is 02h in every state. A fault is left by 80h after 00h, on request only: switch
-on disabled.
+For the goal quick stop, the controlword is 02h in every state. A fault is reset only on request, by
+controlword 80h after 00h; the state after the reset is switch on disabled.
 
-Two watches compare what an axis does with what it was told, and say so in words: `Tracking` while
-it is enabled, `BrakeWatch` while it stops. They find drives that are scaled wrongly, do not follow,
-or do not brake. What follows from that, for all axes together, is decided by the `supervisor`.
+Two monitors compare the motion of an axis with its commands and return problems as text: `Tracking`
+monitors an enabled axis, `BrakeWatch` an axis that stops. The monitors detect drives that are
+scaled wrongly, do not follow their set-points, or do not brake. The `supervisor` decides how all
+axes react to a problem.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ from hil_drivers.cia402.profile import wrapped
 
 
 class State(Enum):
-    """State of a drive; the value is its name in messages."""
+    """CiA 402 state of a drive; the value of each member is the name of the state in messages."""
 
     NOT_READY = "not ready to switch on"
     DISABLED = "switch on disabled"
@@ -49,11 +51,11 @@ class State(Enum):
     QUICK_STOP = "quick stop active"
     FAULT_REACTION = "fault reaction active"
     FAULT = "fault"
-    UNKNOWN = "in no state of CiA 402"
+    UNKNOWN = "unknown CiA 402 state"
 
 
 class Goal(Enum):
-    """Where a drive is to be brought."""
+    """Target state to which the master brings a drive."""
 
     OFF = "switch on disabled"
     ENABLED = "operation enabled"
@@ -61,17 +63,17 @@ class Goal(Enum):
 
 
 POWERED = frozenset({State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION})
-"""The motor carries current: the axis may move."""
+"""Drive states in which the motor carries current, so that the axis can move."""
 
 FAULTY = (State.FAULT, State.FAULT_REACTION)
 
 DISABLE_VOLTAGE, QUICK_STOP, SHUTDOWN, SWITCH_ON, ENABLE = 0x00, 0x02, 0x06, 0x07, 0x0F
 FAULT_RESET = 0x80
-"""Controlwords (6040h); bit 2 is active-low, bit 7 counts when it rises."""
+"""Values of the controlword (6040h); bit 2 is active-low, bit 7 acts on its rising edge."""
 
 WARNING, REMOTE, INTERNAL_LIMIT = 0x0080, 0x0200, 0x0800
 FOLLOWS_COMMAND, FOLLOWING_ERROR = 0x1000, 0x2000
-"""Bits of the statusword (6041h); the last two mean this in CSP, CSV and CST."""
+"""Bits of the statusword (6041h); the names of bits 12 and 13 apply to CSP, CSV and CST."""
 
 _BY_4F = {
     0x00: State.NOT_READY,
@@ -89,7 +91,7 @@ _BY_6F = {
 
 
 def state_of(statusword: int) -> State:
-    """Return the state in a statusword (CiA 402, masks 4Fh and 6Fh)."""
+    """Return the drive state that a statusword encodes (CiA 402, masks 4Fh and 6Fh)."""
     return _BY_4F.get(statusword & 0x4F) or _BY_6F.get(statusword & 0x6F, State.UNKNOWN)
 
 
@@ -101,20 +103,24 @@ _TOWARDS_ENABLED = {
     State.QUICK_STOP: QUICK_STOP,
     State.UNKNOWN: QUICK_STOP,
 }
-"""An axis that brakes is let brake: it gets to `DISABLED` on its own (605Ah = 2)."""
+"""Controlword for each drive state if the goal is to enable the drive.
+
+An axis in quick stop completes its braking, then the drive enters `DISABLED` by itself (605Ah = 2).
+"""
 
 _TOWARDS_OFF = {State.ENABLED: SWITCH_ON, State.SWITCHED_ON: SHUTDOWN}
 
 
 def controlword_towards(state: State, goal: Goal) -> int:
-    """The controlword for the next step from a state towards a goal.
+    """Return the controlword for the next step from a state towards a goal.
 
-    Never resets a fault: in `FAULT` it is disable voltage, whatever the goal.
+    The function never resets a fault: in `FAULT` the controlword is disable voltage for both goals.
 
     Args:
-        state: By its newest statusword.
-        goal: `OFF` is meant for an axis at rest: it goes down one step at a time, and takes the
-            voltage from an axis that is in quick stop.
+        state: State of the drive according to its newest statusword.
+        goal: Target state of the axis. For the goal `OFF` the axis must be at rest, because the
+            axis is switched off one state at a time. An axis in quick stop loses its voltage
+            immediately.
     """
     if goal is Goal.QUICK_STOP:
         return QUICK_STOP
@@ -123,11 +129,12 @@ def controlword_towards(state: State, goal: Goal) -> int:
 
 
 def controlword_resetting(state: State, last: int) -> int:
-    """Return the controlword of a fault reset, for requests only: one rising edge of bit 7.
+    """Return the controlword for a requested fault reset, which is one rising edge of bit 7.
 
     Args:
-        state: By its newest statusword; outside of `FAULT` the bit is cleared.
-        last: The controlword sent before this one; disable voltage to begin with.
+        state: State of the drive according to its newest statusword; in any state except `FAULT`,
+            bit 7 is cleared.
+        last: Controlword that was sent before; disable voltage for the first call.
     """
     if state is State.FAULT and last in (DISABLE_VOLTAGE, FAULT_RESET):
         return FAULT_RESET
@@ -142,38 +149,43 @@ _SAID = {
 
 
 def statusword_text(statusword: int) -> str:
-    """A statusword in words, for messages."""
+    """Return the meaning of a statusword as text for messages."""
     texts = [text for bit, text in _SAID.items() if statusword & bit]
     if not statusword & REMOTE:
-        texts.append("does not listen to the bus (bit 9)")
+        texts.append("not controlled over the bus (remote, bit 9, is 0)")
     return f"{', '.join([state_of(statusword).value, *texts])} (statusword {statusword:04X}h)"
 
 
 def mode_text(mode: int) -> str:
-    """A mode of operation for messages."""
+    """Return the name of a mode of operation for messages."""
     name = od.MODE_NAMES.get(mode)
     return f"{mode} ({name})" if name else str(mode)
 
 
 IN_A_ROW = 3
-"""Cycles that an axis has to be too far away: a single answer may be a drive's hiccup."""
+"""Number of consecutive violations before an axis is reported; one violation can be an outlier."""
 
 VELOCITY_OVER_S = 0.04
 
 LEAST_RAD_S, MOST_TIMES = 0.5, 5.0
-"""Velocities contradict each other when they differ by more than the first and one is more than so
-many times the other, or of other sign: a wrong unit is off by 17 and more."""
+"""Limits from which two velocities contradict each other: difference [rad/s] and ratio.
+
+Two velocities contradict each other if they differ by more than the first limit and, in addition,
+their ratio exceeds the second limit or their signs differ. A wrong velocity unit causes a ratio of
+17 or more.
+"""
 
 
 class Tracking:
-    """Compares the answers of each cycle with the set-points.
+    """Monitor that compares the measured positions and velocities with the set-points.
 
     Args:
         period_s: Device time of a cycle [s].
-        rad_per_increment: Per axis, of position, with its sign.
-        bounds_deg: Mode of operation → how far an axis may be from its set-point [deg], and the
-            option that says so.
-        rad_s_per_count: Per axis, of velocity, with its sign; empty where it is not measured.
+        rad_per_increment: Position scale per axis, with its sign [rad per increment].
+        bounds_deg: Mode of operation → largest deviation of an axis from its set-point [deg], and
+            the name of the option that sets it.
+        rad_s_per_count: Velocity scale per axis, with its sign [rad/s per count]; empty if velocity
+            is not measured.
     """
 
     def __init__(
@@ -190,36 +202,36 @@ class Tracking:
         }
         self._cycles = max(2, round(VELOCITY_OVER_S / period_s))
         self._over_s = self._cycles * period_s
-        self._told: deque[list[int]] = deque(maxlen=LATENCY + 1)
+        self._sent: deque[list[int]] = deque(maxlen=LATENCY + 1)
         self._from: list[int] | None = None
         self._sum: list[int] = []
         self.restart()
 
     def restart(self) -> None:
-        """Forget earlier cycles: a phase begins."""
+        """Discard the data of earlier cycles at the beginning of a phase."""
         n = len(self._scale)
-        self._told.clear()
+        self._sent.clear()
         self._away, self._contradicts = [0] * n, [0] * n
         self._begin_window(None)
 
     def judge(self, inputs: Inputs, targets: Sequence[int], mode: int) -> Iterator[tuple[int, str]]:
-        """Yield axes that do not follow their set-points, each with the reason.
+        """Yield the axes that do not follow their set-points, each with a text that describes why.
 
         Args:
-            inputs: Of this cycle.
-            targets: Positions that were sent in it.
-            mode: That the axes are in.
+            inputs: Answers of the drives in this cycle.
+            targets: Target positions that were sent to the drives in this cycle [increments].
+            mode: Present mode of operation of all axes (6060h).
         """
-        self._told.append(list(targets))
-        if len(self._told) > LATENCY and mode in self._bounds:
+        self._sent.append(list(targets))
+        if len(self._sent) > LATENCY and mode in self._bounds:
             yield from self._far_away(inputs, mode)
         if self._unit:
             yield from self._contradicting(inputs)
 
     def _far_away(self, inputs: Inputs, mode: int) -> Iterator[tuple[int, str]]:
-        told, bounds = self._told[0], self._bounds[mode]
+        sent, bounds = self._sent[0], self._bounds[mode]
         for axis, position in enumerate(inputs.position):
-            off = abs(wrapped(told[axis] - position))
+            off = abs(wrapped(sent[axis] - position))
             if off <= bounds[axis] or not inputs.fresh[axis]:
                 self._away[axis] = 0
                 continue
@@ -229,11 +241,11 @@ class Tracking:
                 degrees = math.degrees(off * abs(self._scale[axis]))
                 yield (
                     axis,
-                    f"is {degrees:.1f}° from its set-point, {most:.3g}° are allowed ({option})",
+                    f"is {degrees:.1f}° from its set-point, the limit is {most:.3g}° ({option})",
                 )
 
     def _contradicting(self, inputs: Inputs) -> Iterator[tuple[int, str]]:
-        """Compare, once per window, the mean reported velocity with the distance travelled."""
+        """Compare the mean reported velocity of a time window with the distance travelled in it."""
         if self._from is None or not all(inputs.fresh):
             self._begin_window(inputs.position.copy() if all(inputs.fresh) else None)
             return
@@ -251,8 +263,8 @@ class Tracking:
             if self._contradicts[axis] >= IN_A_ROW:
                 yield (
                     axis,
-                    f"says that it moves at {reported:.3g} rad/s (606Ch), by its positions it is "
-                    f"{actual:.3g} rad/s: axes.velocity_unit is wrong, or polarity (607Eh)",
+                    f"reports a velocity of {reported:.3g} rad/s (606Ch), its positions give "
+                    f"{actual:.3g} rad/s: axes.velocity_unit or polarity (607Eh) is wrong",
                 )
         self._begin_window(inputs.position.copy())
 
@@ -268,26 +280,31 @@ def _absurd(reported: float, actual: float) -> bool:
 
 
 LONGEST_RAMP_S = 0.5
-"""How long a quick stop may take from the highest speed of a joint; more is refused."""
+"""Maximum duration of a quick stop from the highest speed of a joint [s].
+
+Drives whose quick stop takes longer than `LONGEST_RAMP_S` are rejected.
+"""
 
 MOVES_AFTER_S = 0.2
-"""An axis that still moves so long after its ramp does not brake [s]."""
+"""Time after the end of the quick-stop ramp; an axis that still moves then does not brake [s]."""
 
 OFF_AFTER_S = 1.0
-"""An axis that is still on so long after its ramp does not switch itself off; brakes take their
-time to close [s]."""
+"""Time after the end of the quick-stop ramp; an axis that is still on then does not switch off [s].
+
+The time includes the closing of the mechanical brakes by the drive.
+"""
 
 MOVING_RAD_S = 0.05
 SPEED_OVER_S = 0.05
 
 
 class BrakeWatch:
-    """Finds axes that have to be taken the voltage from.
+    """Detector of axes whose voltage must be disabled during a quick stop.
 
     Args:
         period_s: Device time of a cycle [s].
-        rad_per_increment: Per axis; its sign does not matter.
-        ramp_s: Per axis, how long its quick stop takes from the highest speed [s].
+        rad_per_increment: Position scale per axis [rad per increment]; its sign has no effect.
+        ramp_s: Duration of a quick stop from the maximum joint speed, for each axis [s].
     """
 
     def __init__(
@@ -299,14 +316,14 @@ class BrakeWatch:
         self._seen: deque[list[int]] = deque(maxlen=cycles + 1)
 
     def begin(self) -> None:
-        """A quick stop begins."""
+        """Start the monitoring of a quick stop, without data of earlier cycles."""
         self._seen.clear()
 
     def complaint(self, axis: int, for_s: float) -> str:
-        """Return why an axis with current is to be switched off; empty if it is not.
+        """Return why a powered axis must lose its voltage; empty text if it brakes as required.
 
         Args:
-            axis: From 0.
+            axis: Number of the axis, from 0.
             for_s: Time since the quick stop began [s].
         """
         after_s, ramp_s = for_s - self._ramp_s[axis], self._ramp_s[axis]
@@ -314,21 +331,21 @@ class BrakeWatch:
         if after_s > MOVES_AFTER_S and speed > MOVING_RAD_S:
             return (
                 f"still moves at {speed:.2f} rad/s {for_s:.1f} s after a quick stop that takes "
-                f"{ramp_s:.2g} s: it was taken the voltage from (controlword 00h)"
+                f"{ramp_s:.2g} s: its voltage was disabled (controlword 00h)"
             )
         if after_s > OFF_AFTER_S:
             return (
-                f"is still on {for_s:.1f} s after a quick stop: it was taken the voltage from "
+                f"is still on {for_s:.1f} s after a quick stop: its voltage was disabled "
                 "(controlword 00h)"
             )
         return ""
 
     def look(self, inputs: Inputs) -> None:
-        """Take the positions of this cycle."""
+        """Store the positions that the drives reported in this cycle."""
         self._seen.append(inputs.position.copy())
 
     def _speed(self, axis: int) -> float:
-        """Over the last cycles [rad/s]; 0 until there were enough."""
+        """Return the mean speed of an axis over the last cycles [rad/s]; 0 after too few cycles."""
         if len(self._seen) < (self._seen.maxlen or 0):
             return 0.0
         way = abs(wrapped(self._seen[-1][axis] - self._seen[0][axis]))

@@ -1,20 +1,23 @@
-"""The field bus below the driver: what an axis, a supervisor and a commissioning ask of it.
+"""Interface between the driver and its field bus.
 
-The driver knows the object dictionary of CiA 402 (`objects`), the state machine (`axis`) and a
-cycle that carries one record of set-points to all drives and one of measurements back (`mapping`).
-How that travels is the business of a `Bus`. There is one today, CAN (`can_bus`); EtherCAT has the
-same objects over CoE and the same records as process data, so it is one more class with these
-members and nothing above it changes (docs/how-to/drive-can-drives.md).
+The driver implements the object dictionary of CiA 402 (`objects`) and the state machine (`axis`).
+In each cycle the driver sends one record of set-points to all drives and receives one record of
+measurements (`mapping`). A `Bus` transports both. The only implemented field bus is CAN
+(`can_bus`). EtherCAT drives have the same objects (CoE) and exchange the same records as process
+data. Support for EtherCAT therefore needs only a further implementation of the protocols of this
+module (docs/how-to/drive-can-drives.md).
 
-A bus has two faces, because two kinds of threads use it:
+A bus has two interfaces, because two kinds of threads use the bus:
 
-- `Acyclic` reads and writes objects, one request at a time, and may block. The thread that owns the
-  cycles never calls it.
-- `Cyclic` exchanges process data and collects what comes beside them (`News`). Only the thread that
-  owns the cycles calls it, and nothing in it may wait for longer than it was told to.
+- `Acyclic` reads and writes objects, one request at a time, and can block. The thread that owns the
+  cycles never calls `Acyclic`.
+- `Cyclic` exchanges process data and collects all other messages of the drives (`News`). Only the
+  thread that owns the cycles calls `Cyclic`, and no method of `Cyclic` waits longer than its time
+  argument permits.
 
-Answers to acyclic requests arrive on the same bus, so frames have to be taken while an object is
-read: by the cycles, or by `pumping` where there are none.
+Answers to acyclic requests arrive on the same bus as the process data. Therefore a thread must
+receive frames while an object is read: the cycle thread, or the thread of `pumping` if there are no
+cycles.
 """
 
 from __future__ import annotations
@@ -36,20 +39,28 @@ from hil_drivers.cia402.objects import Entry, error_text, register_text
 from hil_drivers.cia402.options import Options
 
 MASTER_SILENCE_MS = 250
-"""Silence of ours after which a drive stops by itself: every bus sets its drives up for that."""
+"""Time without a message from the master after which each drive must stop by itself [ms].
+
+Every implementation of the bus configures the drives with this time-out.
+"""
 
 ByteArray: TypeAlias = NDArray[np.uint8]
-"""Data of PDOs as they are on the wire."""
+"""Array of bytes with the data of PDOs, as transferred on the wire."""
 
 
 @dataclass(slots=True)
 class Outputs:
-    """Commands to the drives in one cycle: raw integers, one per axis.
+    """Commands to the drives in one cycle: lists of raw integers with one value per axis.
 
     Attributes:
-        controlword, mode, target_position, target_velocity, target_torque, torque_offset: See
-            `hil_drivers.cia402.objects`. What the mapping does not carry is not sent.
-        segment, status: What the master announces with them: the plan's step and `Status` bits.
+        controlword: Controlwords (6040h). The drives get only the values that are in the mapping.
+        mode: Requested modes of operation (6060h).
+        target_position: Target positions (607Ah) [increments].
+        target_velocity: Target velocities (60FFh) [counts of velocity].
+        target_torque: Target torques (6071h) [‰ of rated torque].
+        torque_offset: Feed-forward torques (60B2h) [‰ of rated torque].
+        segment: Number of the plan's step that the master announces with the commands; −1 for none.
+        status: `Status` bits that the master announces with the commands.
     """
 
     controlword: list[int]
@@ -63,20 +74,24 @@ class Outputs:
 
     @classmethod
     def idle(cls, n: int) -> Outputs:
-        """Nothing commanded: no voltage, no mode."""
+        """Return outputs that command no voltage, no mode and no motion."""
         return cls([0] * n, [0] * n, [0] * n, [0] * n, [0] * n, [0] * n)
 
 
 @dataclass(slots=True)
 class Inputs:
-    """Answers of the drives in one cycle: raw integers, one per axis.
+    """Answers of the drives in one cycle: lists of raw integers with one value per axis.
 
     Attributes:
-        statusword, position, mode_display, velocity, torque, current: See
-            `hil_drivers.cia402.objects`. What the mapping does not carry stays 0.
-        fresh: Per axis, whether all its PDOs came in this cycle; else its values are older.
-        late: Per axis that is not fresh, whether answers to earlier SYNCs have come since the last
-            cycle: it is behind.
+        statusword: Statuswords (6041h). All values of objects that are not in the mapping remain 0.
+        position: Measured positions (6064h) [increments].
+        mode_display: Active modes of operation (6061h).
+        velocity: Measured velocities (606Ch) [counts of velocity].
+        torque: Measured torques (6077h) [‰ of rated torque].
+        current: Measured motor currents (6078h) [‰ of rated current].
+        fresh: Whether all PDOs of an axis arrived in this cycle; if False, the values of the axis
+            are from an earlier cycle.
+        late: Whether an axis that is not fresh has answered earlier SYNCs since the last cycle.
     """
 
     statusword: list[int]
@@ -90,19 +105,19 @@ class Inputs:
 
     @classmethod
     def none_yet(cls, n: int) -> Inputs:
-        """Before the first cycle."""
+        """Return the inputs that apply before the first cycle: zeros, and no axis has answered."""
         return cls([0] * n, [0] * n, [0] * n, [0] * n, [0] * n, [0] * n, [False] * n, [False] * n)
 
 
 @dataclass(frozen=True, slots=True)
 class Emergency:
-    """An EMCY message.
+    """Emergency message (EMCY) with which a drive reports an error.
 
     Attributes:
-        axis: From 0.
-        code: Error code; 0 means that errors are gone.
-        register: 1001h.
-        data: Five bytes of the vendor's.
+        axis: Number of the axis, from 0.
+        code: Error code; 0 if the drive reports that all errors are gone.
+        register: Error register (1001h).
+        data: Five bytes of manufacturer-specific data.
     """
 
     axis: int
@@ -111,9 +126,9 @@ class Emergency:
     data: bytes
 
     def __str__(self) -> str:
-        """Return its content without the axis."""
+        """Return the error code and the data of the message as text, without the axis."""
         if self.code == 0:
-            return "errors are gone (0000h)"
+            return "errors reset (0000h)"
         register = register_text(self.register)
         vendors = self.data.hex(" ") if any(self.data) else ""
         beside = [
@@ -126,13 +141,13 @@ class Emergency:
 
 @dataclass(slots=True)
 class News:
-    """Messages beside process data since the last call.
+    """Messages, other than process data, that were received since the last call.
 
     Attributes:
-        emergencies: In the order in which they came.
-        booted: Axes that have started anew.
+        emergencies: EMCY messages in the order of their arrival.
+        booted: Axes whose drive has restarted.
         silent: Axes whose heartbeat is overdue.
-        bus_error: Why nothing can be sent or received any more; empty while that works.
+        bus_error: Text that describes why the bus cannot send or receive; empty if the bus works.
     """
 
     emergencies: list[Emergency] = field(default_factory=list)
@@ -142,18 +157,18 @@ class News:
 
     @property
     def any(self) -> bool:
-        """Whether there is something to look at."""
+        """Whether the news contain at least one message."""
         return bool(self.emergencies or self.booted or self.silent or self.bus_error)
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One object that a drive is to have at some value.
+    """Value that the driver writes to one object of a drive during configuration.
 
     Attributes:
-        entry: Which.
-        value: To be written.
-        needed: Whether a drive without it is refused.
+        entry: Object.
+        value: Required value.
+        needed: Whether a drive without the object is rejected.
     """
 
     entry: Entry
@@ -162,9 +177,9 @@ class Setting:
 
 
 class Acyclic(Protocol):
-    """Objects of the drives and the states of their communication; blocks.
+    """Access to the objects and communication states of the drives by methods that can block.
 
-    Axes are counted from 0, in the order of the joints.
+    Axes are numbered from 0, in the order of the joints.
     """
 
     @property
@@ -172,129 +187,135 @@ class Acyclic(Protocol):
         """Number of axes."""
 
     def name_of(self, axis: int) -> str:
-        """An axis for messages: its joint and its address on the bus."""
+        """Return the name of an axis for messages, from its joint and its address on the bus."""
 
     def upload(self, axis: int, entry: Entry) -> int:
         """Read an object.
 
         Raises:
-            CommandRefused: The drive has aborted; the message names axis, object and abort code.
-            RobotTimeout: It has not answered.
+            CommandRefused: The drive has aborted the transfer; the message contains axis, object
+                and abort code.
+            RobotTimeout: The drive has not answered the request.
         """
 
     def download(self, axis: int, entry: Entry, value: int) -> None:
-        """Write an object; raises as `upload`."""
+        """Write an object of a drive; raise the same exceptions as `upload`."""
 
     def upload_each(
         self, entry: Entry, axes: Iterable[int], within_s: float = 0.0
     ) -> dict[int, int]:
-        """Read an object of several drives at once; never raises.
+        """Read the same object of several drives at the same time; never raise.
 
         Returns:
-            Values by axis, of the drives that have answered within that time [s], all together.
+            Value for each axis whose drive has answered within `within_s` [s], which is the time
+            for all axes together.
         """
 
     def download_each(
         self, entry: Entry, value: int, axes: Iterable[int], within_s: float = 0.0
     ) -> list[int]:
-        """Write it likewise; returns the axes that have confirmed it in time."""
+        """Write the same object of several drives at once; return the axes that confirmed."""
 
     def settings(self, options: Options, of_drive: Sequence[Setting]) -> list[Setting]:
-        """The settings of a drive with those that this bus needs, in the order of writing."""
+        """Return the settings of a drive and of the bus, in the order of writing."""
 
     def unwatch(self, axes: Sequence[int], within_s: float) -> None:
-        """Have these drives not mind when we leave; never raises."""
+        """Switch the monitoring of the master off in the drives of some axes; never raise."""
 
     def preoperational(self) -> None:
-        """Bring all drives to where they can be configured; raises `RobotTimeout`."""
+        """Bring all drives into the state in which they can be configured; raise `RobotTimeout`."""
 
     def map(self, mapping: Mapping) -> None:
-        """Lay out the process data of all drives, and read back that they are so.
+        """Configure the process data of all drives and read back the configuration.
 
         Raises:
-            CommandRefused: A drive does not take it.
+            CommandRefused: A drive does not accept the mapping.
         """
 
     def operational(self) -> None:
-        """Start the exchange of process data in all drives; raises `RobotTimeout`."""
+        """Start the exchange of process data in all drives; raise `RobotTimeout`."""
 
     def release(self) -> None:
-        """End the exchange of process data, without waiting for a confirmation."""
+        """End the exchange of process data without waiting for a confirmation."""
 
 
 class Cyclic(Protocol):
-    """Process data of all drives, and the messages beside them; called by one thread."""
+    """Cyclic exchange of process data, and messages beside them; used by one thread."""
 
     def exchange(self, outputs: Outputs, give_up_s: float) -> Inputs:
-        """One cycle: the commands go out, the answers come.
+        """Execute one cycle: send the commands and receive the answers.
 
         Args:
-            outputs: Applied by the drives when the next cycle begins.
-            give_up_s: `time.monotonic` at which it returns with what has come.
+            outputs: Commands to the drives, which apply these commands when the next cycle begins.
+            give_up_s: Latest end of the wait for answers [s, `time.monotonic`]; after that time the
+                method returns with the answers received so far.
 
         Raises:
-            RobotConnectionError: The bus is gone.
+            RobotConnectionError: The connection to the bus is lost.
         """
 
     def idle(self, until_s: float) -> None:
-        """Handle frames between two exchanges, until that time of `time.monotonic`."""
+        """Handle received frames between two exchanges, until a time of `time.monotonic` [s]."""
 
     def pump(self, until_s: float) -> None:
-        """While there are no exchanges: the same, and device time is the wall's."""
+        """Handle received frames while no cycles run; device time advances with wall time."""
 
     def news(self) -> News | None:
-        """Return messages since the last call; None if there were none."""
+        """Return the messages received since the last call; None if no message was received."""
 
     def watch(self, on: bool) -> None:
-        """Whether drives that fall silent or start anew are news, from now on."""
+        """Start or stop reporting drives that fall silent or restart as news."""
 
     @property
     def cycle(self) -> int:
-        """Number of the last exchange, from 0; −1 before."""
+        """Number of the last exchange, from 0; −1 before the first one."""
 
     @property
     def sync_time(self) -> float:
-        """When it began [s, Unix time]."""
+        """Unix time at which the last exchange of process data began [s]."""
 
     @property
     def synced_s(self) -> float:
-        """The same by `time.monotonic` [s], which never jumps."""
+        """Time of `time.monotonic` at which the last exchange began [s]; this clock never jumps."""
 
     @property
     def sent(self) -> ByteArray:
-        """(R, n, 8) command data that went with it; overwritten by the next exchange."""
+        """(R, n, 8) command bytes of the last exchange; the next exchange overwrites the array."""
 
     @property
     def answered(self) -> ByteArray:
-        """(T, n, 8) answer data, likewise; data of an earlier cycle where none came."""
+        """(T, n, 8) answer bytes of the last exchange, with older bytes for missing answers.
+
+        The next exchange overwrites the array.
+        """
 
 
 class Bus(Protocol):
-    """One end of a field bus, open from its construction to `close`."""
+    """Connection to a field bus, open from its construction to `close`."""
 
     @property
     def acyclic(self) -> Acyclic:
-        """Objects of the drives; answered while cycles go on, or while it is pumped."""
+        """Access to the objects of the drives; works only while cycles run or in `pumping`."""
 
     @property
     def cyclic(self) -> Cyclic:
-        """Their process data."""
+        """Access to the process data of the drives."""
 
     @property
     def celsius(self) -> FloatArray:
-        """(n,) newest temperatures of the motors [°C], NaN before; the bus writes into it."""
+        """(n,) newest motor temperatures [°C], updated in place; NaN before the first value."""
 
     def load(self) -> Finding:
-        """Whether the cycles fit onto this bus, with the figures."""
+        """Return the preflight finding whether the bus has the capacity for the cycles."""
 
     def losses(self) -> str:
-        """Return losses of frames so far, in words; empty if there were none."""
+        """Return a text about the frames lost so far; empty if no frame was lost."""
 
     def flush(self) -> None:
-        """Write the log of the bus; called by a thread that may wait for a disk."""
+        """Write the queued frames to the log of the bus; the call can wait for a disk."""
 
     def close(self) -> None:
-        """Leave the bus; never raises."""
+        """Close the connection to the bus; never raise."""
 
 
 AT_ONCE_S = 0.02
@@ -302,10 +323,11 @@ AT_ONCE_S = 0.02
 
 @contextmanager
 def pumping(cyclic: Cyclic) -> Iterator[None]:
-    """Handle frames that come, in a thread, while the block runs.
+    """Handle received frames in a separate thread while the `with` block runs.
 
     Raises:
-        RobotConnectionError: The bus is gone; in place of whatever came of that in the block.
+        RobotConnectionError: The connection to the bus is lost; this error replaces any error that
+            the `with` block raised because of the lost bus.
     """
     over, gone = threading.Event(), list[HilError]()
 

@@ -1,15 +1,17 @@
-"""The drives over CANopen: one end of a CAN bus with all that goes over it.
+"""CANopen bus of the drives: process data, SDO, NMT and PDO configuration on one CAN bus.
 
-`CanBus` is the field bus of `bus` for CAN. Process data and all that a cycle has to do with are our
-own code (`can_cycle`): a frame at a time through a library costs more than a cycle has. Everything
-else is CANopen's daily business, and `canopen` does it: SDO transfers, EDS files. That library gets
-no bus and no thread of its own: the thread of the cycles hands it the frames that are no process
-data (`CanopenAcyclic.heard`), and what it sends goes out through the same port (`CanBus._send`).
+`CanBus` implements the protocols of `bus` on CAN. Process data and all other parts of a cycle are
+implemented in `can_cycle`, because a library that handles one frame at a time is too slow for a
+cycle. SDO transfers and EDS files are handled by the library `canopen`. The library `canopen` gets
+no bus and no thread: the cycle thread passes received frames that are not process data to the
+library (`CanopenAcyclic.heard`), and the frames of the library are sent through the port of the
+cycles (`CanBus._send`).
 
-Two things of CiA 301 are done here without it. Expedited transfers to many drives at once, one
-frame each, so that a silent drive holds nothing up (`upload_each`, `download_each`). And the
-procedure by which PDOs are laid out and read back (`_PdoOf`), because drives differ in what they
-refuse there, and messages have to say which object of which drive it was.
+Two functions of CiA 301 are implemented in this module without the library `canopen`. Function 1 is
+the expedited transfer to many drives at the same time with one frame per drive, so that a silent
+drive does not delay the other drives (`upload_each`, `download_each`). Function 2 is the mapping of
+PDOs, with reading back (`_PdoOf`): drives refuse different steps of this procedure, and error
+messages must name the object and the drive.
 """
 
 from __future__ import annotations
@@ -62,25 +64,27 @@ from hil_drivers.cia402.objects import NOT_THERE, NOT_TO_WRITE, Aborted, Entry
 from hil_drivers.cia402.options import Options
 
 ROOM_S, ROOM_LOOK_S = 0.5, 0.002
-"""How long room in the transmit queue is waited for by what is no process data [s]."""
+"""Longest wait for space in the transmit queue while no cycles run, and polling period [s]."""
 
 
 class CanBus:
-    """Implements `hil_drivers.cia402.bus.Bus`; nothing is asked of any drive yet.
+    """Implementation of `hil_drivers.cia402.bus.Bus`; the constructor sends nothing to the drives.
 
     Args:
-        options: Of the station.
-        names: Of the axes, for messages.
+        options: Options of the station.
+        names: Names of the joints, in the order of the axes, for messages.
 
     Attributes:
-        acyclic, cyclic, celsius: See `Bus`.
+        acyclic: See `Bus`.
+        cyclic: See `Bus`.
+        celsius: See `Bus`.
 
     Raises:
-        RobotConnectionError: There is no such bus, its adapter is not there, or another master is
-            on it.
-        PluginError: A package is missing.
-        RecordingError: The log of the bus cannot be made.
-        SpecError: An EDS file cannot be read.
+        RobotConnectionError: The bus does not exist, its adapter is not connected, or another
+            master is on the bus.
+        PluginError: A required Python package is not installed.
+        RecordingError: The log of the bus cannot be created.
+        SpecError: An EDS file is unreadable.
     """
 
     def __init__(self, options: Options, names: Sequence[str]) -> None:
@@ -102,7 +106,7 @@ class CanBus:
         return Finding(
             "bus-load",
             load.fits,
-            f"{message}{load.total.worst:.0%} with all else, at {bitrate / 1000:g} kbit/s",
+            f"{message}{load.total.worst:.0%} with all other frames, at {bitrate / 1000:g} kbit/s",
             round(load.cyclic.worst, 4),
             MOST_CYCLIC,
             "lower rate_hz, or use a smaller mapping",
@@ -130,7 +134,7 @@ class CanBus:
             self._log = BusLog(options.candump, options.bus.channel)
             self._leaving.callback(self._log.close)
         self._port = port_of(bus)
-        # No other master may drive these axes: listen before anything is sent.
+        # Another master must not drive these axes at the same time: listen before sending anything.
         port = self._port if self._log is None else LoggedPort(self._port, self._log)
         lasts_s = LISTEN_INSIDE_S if options.bus.interface == "virtual" else LISTEN_S
         require_no_master(port, options.nodes, options.master_id, lasts_s)
@@ -149,18 +153,19 @@ class CanBus:
         )
 
     def _heard(self, can_id: int, data: bytes, time_s: float) -> None:
-        """Handle a frame that is no process data; called by the thread that owns the bus."""
+        """Handle a frame that is not process data; called by the thread that owns the bus."""
         self._temperatures.heard(can_id, data)
         self.acyclic.heard(can_id, data, time_s)
 
     def _send(self, can_id: int, data: bytes) -> None:
-        """Send a frame that is no process data; wait for room."""
+        """Send a frame that is not process data, after waiting for space in the transmit queue."""
         frame, until = pack_frame(can_id, data), time.monotonic() + ROOM_S
         while not self._port.send(frame):
             if time.monotonic() > until:
                 raise RobotConnectionError(
-                    f"the bus has had no room for a frame for {ROOM_S:g} s",
-                    hint="see to cable, termination and bit rate: does any drive acknowledge?",
+                    f"no frame could be sent on the bus for {ROOM_S:g} s",
+                    hint="check cable, termination and bit rate, and whether any drive "
+                    "acknowledges frames",
                 )
             time.sleep(ROOM_LOOK_S)
         if self._log is not None:
@@ -179,18 +184,18 @@ _NAMES = {
 }
 
 ANSWER_S = 1.0
-"""How long a drive may take to answer [s]; some need longer than the usual 0.3 s."""
+"""Longest wait for an SDO answer of a drive [s]; some drives need more than the usual 0.3 s."""
 TRIES = 2
 PRODUCER_MS = 100
-"""1017h: the drives' heartbeats."""
+"""Heartbeat period of the drives: value of 1017h [ms]."""
 CONFIRM_S = 3.0
-"""Time within which a drive confirms an NMT state by heartbeat [s]."""
+"""Longest wait for the heartbeat that confirms a change of a drive's NMT state [s]."""
 
 _HEAD = struct.Struct("<BHB")
 _READ, _WRITE = 0x40, 0x23
 _VALUE, _VALUE_MASK = 0x42, 0xE2
 _WRITTEN = 0x60
-"""Commands of expedited transfers (CiA 301, 7.2.4.3), which hold their value themselves."""
+"""Command bytes of expedited SDO transfers, which contain the value (CiA 301, 7.2.4.3)."""
 
 LOOK_S = 0.001
 
@@ -198,17 +203,17 @@ logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 
 class CanopenAcyclic:
-    """Implements `hil_drivers.cia402.bus.Acyclic` by SDO, and NMT for the states.
+    """Implementation of `hil_drivers.cia402.bus.Acyclic` with SDO, and NMT for the states.
 
     Args:
-        send: Puts a frame (COB-ID, data) on the bus; called by any thread. What it raises comes
-            out of every method here that may raise.
+        send: Function that puts a frame (COB-ID, data) on the bus; called by any thread. Exceptions
+            of `send` are passed on by all methods that can raise.
         nodes: Node ids, in the order of the axes.
-        names: Of the axes, for messages.
-        eds: Per axis, path of its EDS file; may be empty.
+        names: Names of the joints, in the order of the axes, for messages.
+        eds: Paths of the drives' EDS files, one per axis; empty for no EDS files.
 
     Raises:
-        SpecError: An EDS file cannot be read.
+        SpecError: An EDS file is unreadable.
     """
 
     def __init__(
@@ -223,9 +228,9 @@ class CanopenAcyclic:
         self._locks = [threading.Lock() for _ in nodes]
         self._axes = {HEARTBEAT_COB_ID + node: axis for axis, node in enumerate(nodes)}
         self._answers = {SDO_ANSWER_COB_ID + node: axis for axis, node in enumerate(nodes)}
-        # Axis, index, sub-index → where the answer to an expedited request goes.
+        # Axis, index, sub-index → list that receives the answer to an expedited request.
         self._expected: dict[tuple[int, int, int], list[bytes]] = {}
-        self._told = threading.Condition()
+        self._state_changed = threading.Condition()
         self._states: list[int | None] = [None] * len(nodes)
 
     @property
@@ -234,13 +239,13 @@ class CanopenAcyclic:
         return len(self._nodes)
 
     def name_of(self, axis: int) -> str:
-        """An axis for messages: joint and node."""
+        """Return the name of an axis for messages, from the joint and the node id."""
         return f"{self._names[axis]} (node {self._nodes[axis]})"
 
     def heard(self, can_id: int, data: bytes, time_s: float = 0.0) -> None:
-        """A frame is on the bus; called by the cyclic thread, returns at once."""
+        """Handle a received frame without blocking; called by the cycle thread."""
         if can_id in self._answers and len(data) == 8:
-            # No lock: a thread that asks could hold it while the bus waits.
+            # No lock: a requesting thread could block the thread of the bus with it.
             _, index, sub = _HEAD.unpack_from(data)
             answer = self._expected.pop((self._answers[can_id], index, sub), None)
             if answer is None:
@@ -248,14 +253,14 @@ class CanopenAcyclic:
             else:
                 answer.append(data)
         elif can_id in self._axes and data:
-            with self._told:
+            with self._state_changed:
                 self._states[self._axes[can_id]] = data[0]
-                self._told.notify_all()
+                self._state_changed.notify_all()
 
     def upload(self, axis: int, entry: Entry) -> int:
-        """See `Acyclic`; a value shorter than the object is extended by its sign."""
+        """Read an object of a drive; a value shorter than the object is sign-extended."""
         what = f"{entry} cannot be read"
-        raw = self._asked(axis, entry, what, lambda sdo: sdo.upload(entry.index, entry.sub))
+        raw = self._request(axis, entry, what, lambda sdo: sdo.upload(entry.index, entry.sub))
         return int.from_bytes(raw[: entry.size], "little", signed=entry.code.islower())
 
     def download(self, axis: int, entry: Entry, value: int) -> None:
@@ -266,14 +271,14 @@ class CanopenAcyclic:
             raise CommandRefused(
                 f"{self.name_of(axis)}: {value} does not fit into {entry}"
             ) from None
-        what = f"{entry} does not take {value}"
-        self._asked(axis, entry, what, lambda sdo: sdo.download(entry.index, entry.sub, data))
+        what = f"{entry} does not accept {value}"
+        self._request(axis, entry, what, lambda sdo: sdo.download(entry.index, entry.sub, data))
 
     def upload_each(
         self, entry: Entry, axes: Iterable[int], within_s: float = 0.0
     ) -> dict[int, int]:
         """See `Acyclic`."""
-        answers = self._asked_each(_READ, entry, bytes(4), axes, within_s)
+        answers = self._request_each(_READ, entry, bytes(4), axes, within_s)
         return {
             axis: int.from_bytes(data[4 : 4 + entry.size], "little", signed=entry.code.islower())
             for axis, data in answers.items()
@@ -286,12 +291,12 @@ class CanopenAcyclic:
         """See `Acyclic`."""
         data = value.to_bytes(4, "little", signed=value < 0)
         command = _WRITE | (4 - entry.size) << 2
-        answers = self._asked_each(command, entry, data, axes, within_s)
-        return [axis for axis, said in answers.items() if said[0] == _WRITTEN]
+        answers = self._request_each(command, entry, data, axes, within_s)
+        return [axis for axis, answer in answers.items() if answer[0] == _WRITTEN]
 
     @staticmethod
     def settings(options: Options, of_drive: Sequence[Setting]) -> list[Setting]:
-        """See `Acyclic`; SYNC comes first, the master's heartbeat (1016h) last."""
+        """Return the settings in the order of writing: SYNC first, 1016h last; see `Acyclic`."""
         return [
             Setting(od.SYNC_COB_ID, SYNC_COB_ID, needed=False),
             Setting(od.CYCLE_PERIOD, options.period_us, needed=False),
@@ -300,18 +305,18 @@ class CanopenAcyclic:
         ]
 
     def unwatch(self, axes: Sequence[int], within_s: float) -> None:
-        """See `Acyclic`; ends the drives' watch of the master's heartbeat (1016h)."""
+        """Switch the monitoring of the master's heartbeat (1016h) off in some drives."""
         self.download_each(od.CONSUMER_HEARTBEAT, 0, axes, within_s)
 
     def preoperational(self) -> None:
-        """See `Acyclic`; the drives' heartbeats are on from then on."""
+        """Bring all drives into pre-operational and switch their heartbeats on; see `Acyclic`."""
         self._command(PREOPERATIONAL)
         for axis in range(len(self._nodes)):
             self.download(axis, od.PRODUCER_HEARTBEAT, PRODUCER_MS)
         self._confirm(PREOPERATIONAL)
 
     def operational(self) -> None:
-        """See `Acyclic`; confirmed by the drives' heartbeats."""
+        """Start the process data of all drives, confirmed by their heartbeats; see `Acyclic`."""
         self._command(OPERATIONAL)
         self._confirm(OPERATIONAL)
 
@@ -323,7 +328,7 @@ class CanopenAcyclic:
         """See `Acyclic`.
 
         Raises:
-            SpecError: An EDS file says that it cannot be.
+            SpecError: According to the EDS file of a drive, the mapping is impossible.
         """
         for axis, dictionary in enumerate(self._dictionaries):
             require_mappable(dictionary, mapping, f"{self._eds[axis]}, {self.name_of(axis)}")
@@ -340,9 +345,9 @@ class CanopenAcyclic:
         node.sdo.RESPONSE_TIMEOUT = ANSWER_S
         return self._network.add_node(node)
 
-    def _asked(self, axis: int, entry: Entry, what: str, ask: Callable[[Any], Any]) -> Any:
-        """One request at a time per node, tried again when there is no answer."""
-        self._expected.pop((axis, entry.index, entry.sub), None)  # the next answer is this one's
+    def _request(self, axis: int, entry: Entry, what: str, ask: Callable[[Any], Any]) -> Any:
+        """Send SDO requests, one at a time per node, and repeat those without an answer."""
+        self._expected.pop((axis, entry.index, entry.sub), None)  # drop an older request
         with self._locks[axis]:
             for _ in range(TRIES):
                 try:
@@ -352,17 +357,20 @@ class CanopenAcyclic:
                 except canopen.SdoCommunicationError as error:
                     why = error
         raise RobotTimeout(
-            f"{self.name_of(axis)}: {what}: {TRIES} times no answer in {ANSWER_S:g} s ({why})",
-            hint="is the drive powered, is its node id right, and the bit rate of the bus?",
+            f"{self.name_of(axis)}: {what}: no answer in {ANSWER_S:g} s, {TRIES} times ({why})",
+            hint="check the power of the drive, its node id and the bit rate of the bus",
         )
 
-    def _asked_each(
+    def _request_each(
         self, command: int, entry: Entry, data: bytes, axes: Iterable[int], within_s: float
     ) -> dict[int, bytes]:
-        """Return answers by axis; late ones are not mistaken for answers to the next request."""
+        """Send one expedited SDO request to each axis and return the answers by axis.
+
+        An answer that arrives too late is never used as the answer to a later request.
+        """
         head, until = _HEAD.pack(command, entry.index, entry.sub), time.monotonic() + within_s
         answers: dict[int, list[bytes]] = {axis: [] for axis in axes}
-        with contextlib.suppress(HilError):  # a bus that takes no frame takes none of the others
+        with contextlib.suppress(HilError):  # if one frame fails, the others fail too
             for axis, answer in answers.items():
                 self._expected[axis, entry.index, entry.sub] = answer
                 self._send(SDO_REQUEST_COB_ID + self._nodes[axis], head + data)
@@ -371,29 +379,29 @@ class CanopenAcyclic:
         return {axis: answer[0] for axis, answer in answers.items() if answer}
 
     def _command(self, state: int) -> None:
-        with self._told:
+        with self._state_changed:
             self._states = [None] * len(self._nodes)
         for node in self._nodes:
             self._network.send_message(0, [_COMMANDS[state], node])
 
     def _confirm(self, state: int) -> None:
         until = time.monotonic() + CONFIRM_S
-        with self._told:
+        with self._state_changed:
             while any(present != state for present in self._states):
                 left_s = until - time.monotonic()
                 if left_s <= 0.0:
                     raise self._not_there(state)
-                self._told.wait(left_s)
+                self._state_changed.wait(left_s)
 
     def _not_there(self, state: int) -> RobotTimeout:
         late = [
-            f"{self.name_of(axis)} {_state_text(told)}"
-            for axis, told in enumerate(self._states)
-            if told != state
+            f"{self.name_of(axis)} {_state_text(present)}"
+            for axis, present in enumerate(self._states)
+            if present != state
         ]
         return RobotTimeout(
-            f"not {_NAMES[state]} after {CONFIRM_S:g} s: {'; '.join(late)}",
-            hint="switch the drives off and on again; look for another master on the bus",
+            f"drives are not {_NAMES[state]} after {CONFIRM_S:g} s: {'; '.join(late)}",
+            hint="switch the drives off and on again; check the bus for another master",
         )
 
 
@@ -402,10 +410,13 @@ def _state_text(state: int | None) -> str:
 
 
 class _FedNetwork(canopen.Network):
-    """`canopen`'s network without a bus and a thread: frames come by `notify` and go by `send`.
+    """CANopen network object of the library `canopen` without a bus and without a thread.
+
+    The owner of the network passes received frames to `notify`; the network passes frames to be
+    sent to `send`.
 
     Args:
-        send: Puts a frame (COB-ID, data) on the bus; called by any thread.
+        send: Function that puts a frame (COB-ID, data) on the bus; called by any thread.
     """
 
     def __init__(self, send: Send) -> None:
@@ -413,42 +424,42 @@ class _FedNetwork(canopen.Network):
         self._send = send
 
     def send_message(self, can_id: int, data: Iterable[int], remote: bool = False) -> None:
-        """Put a frame on the bus."""
+        """Send a frame of the library through the function `send`."""
         self._send(can_id, bytes(data))
 
     def send_periodic(self, *_: Any, **__: Any) -> Any:
-        """Raise: frames in time with the cycles are sent by the cycles."""
-        raise NotImplementedError("periodic frames belong to the cycles")
+        """Raise `NotImplementedError`, because only the cycles send periodic frames."""
+        raise NotImplementedError("periodic frames are sent by the cyclic exchange only")
 
 
 def dictionary_of(path: str, node: int) -> Any:
-    """The `canopen.ObjectDictionary` in an EDS or DCF file.
+    """Return the `canopen.ObjectDictionary` of an EDS or DCF file.
 
     Args:
-        path: Of the file.
-        node: Node id; COB-IDs in the file may depend on it.
+        path: Path of the file.
+        node: Node id of the drive; COB-IDs in the file can depend on the node id.
 
     Raises:
-        SpecError: It cannot be read.
+        SpecError: The EDS or DCF file is unreadable.
     """
     try:
         return canopen.import_od(path, node)
-    except Exception as error:  # an importer of whatever the file may hold
+    except Exception as error:  # the importer raises various errors for invalid files
         raise SpecError(
-            f"{path} is no EDS file that can be read: {error}", hint="take the maker's own"
+            f"{path} is not a readable EDS file: {error}", hint="use the manufacturer's EDS file"
         ) from error
 
 
 def require_mappable(dictionary: Any, mapping: Mapping, where: str) -> None:
-    """Refuse a mapping of objects that the file does not have, or not for PDOs.
+    """Raise if the EDS file lacks a mapped object, or does not allow the object in PDOs.
 
     Args:
-        dictionary: What `dictionary_of` gave.
-        mapping: Of every axis.
-        where: Which file and which axis, for messages.
+        dictionary: Object dictionary from `dictionary_of`.
+        mapping: PDO mapping of every axis.
+        where: Text with the name of the file and of the axis, for messages.
 
     Raises:
-        SpecError: One line for each object that cannot be.
+        SpecError: Objects cannot be mapped; the message has one line for each of these objects.
     """
     wrong = [
         f"{where}: {entry} {why}"
@@ -459,18 +470,19 @@ def require_mappable(dictionary: Any, mapping: Mapping, where: str) -> None:
     if wrong:
         raise SpecError(
             "\n".join(wrong),
-            hint=f"mapping {mapping.name} needs them: choose another one, or the drive's own EDS",
+            hint=f"mapping {mapping.name} needs these objects: choose another mapping, or use the "
+            "EDS file of this drive",
         )
 
 
 def _why_not(dictionary: Any, entry: Entry, *, received: bool) -> str:
     variable = dictionary.get_variable(entry.index, entry.sub)
     if variable is None:
-        return "is not in it"
+        return "does not exist"
     if not variable.pdo_mappable:
         return "cannot be mapped into a PDO"
     if len(variable) != entry.bits:
-        return f"has {len(variable)} bits there, {entry.bits} by CiA 402"
+        return f"has {len(variable)} bits in this file, {entry.bits} bits by CiA 402"
     if received and not variable.writable:
         return "cannot be written"
     return ""
@@ -479,23 +491,26 @@ def _why_not(dictionary: Any, entry: Entry, *, received: bool) -> str:
 NOT_VALID, NO_RTR = 1 << 31, 1 << 30
 
 EVERY_SYNC = 1
-"""Transmission type: an RPDO is applied at the next SYNC, a TPDO sampled and sent at each."""
+"""Transmission type of all PDOs: every SYNC.
+
+An RPDO is applied at the next SYNC; a TPDO is sampled and sent at each SYNC.
+"""
 
 ALL_PDOS = frozenset({1, 2, 3, 4})
-"""Of the predefined connection set: those that are not ours are switched off."""
+"""PDO numbers of the predefined connection set; unused PDOs are disabled."""
 
 
 _FIXED = NOT_TO_WRITE | NOT_THERE
-"""Answers of drives whose mapping is as it is."""
+"""Abort codes with which a drive with fixed process data refuses to change the mapping."""
 
-_SAME_AGAIN = "switch the drive off and on; if it says the same again, its mapping is fixed"
+_SAME_AGAIN = "switch the drive off and on; if the error remains, the mapping of the drive is fixed"
 
 
 class _PdoOf:
-    """The objects of one PDO of one drive; changed in pre-operational, as CiA 301 has it.
+    """Configuration objects of one PDO of one drive, written in pre-operational (CiA 301).
 
-    All methods raise `CommandRefused` when the drive does not take it or reads back something
-    else, and `RobotTimeout` when it does not answer.
+    All methods raise `CommandRefused` if the drive does not accept a value or reads back a
+    different one, and `RobotTimeout` if the drive does not answer.
     """
 
     def __init__(
@@ -512,7 +527,7 @@ class _PdoOf:
         self._valid = cob_id if received else cob_id | NO_RTR
 
     def lay_out(self, pdo: Pdo) -> None:
-        """Make it as wanted, and read it back."""
+        """Write the mapping of the PDO and read back the mapping."""
         wanted = [entry.mapped for entry in pdo.entries]
         self._write(self._cob_id, self._valid | NOT_VALID)
         self._map(pdo, wanted)
@@ -521,7 +536,7 @@ class _PdoOf:
         self._check(pdo, wanted)
 
     def silence(self) -> None:
-        """Make it invalid, if there is such a PDO at all."""
+        """Disable the PDO if the drive has a PDO of this number."""
         try:
             now = self._read(self._cob_id)
         except Aborted as error:
@@ -549,7 +564,8 @@ class _PdoOf:
             raise Aborted(
                 f"{self._called} cannot carry {entry}",
                 error.code,
-                hint="choose another `mapping` in the station, or map it with the maker's tool",
+                hint="choose another `mapping` in the station, or map the object with the "
+                "manufacturer's tool",
             ) from error
 
     def _check(self, pdo: Pdo, wanted: list[int]) -> None:
@@ -558,11 +574,11 @@ class _PdoOf:
             actual = ", ".join(f"{each:08X}h" for each in mapped) or "nothing"
             expected = ", ".join(str(entry) for entry in pdo.entries)
             raise CommandRefused(
-                f"{self._called} carries {actual} after it was given {expected}", hint=_SAME_AGAIN
+                f"{self._called} maps {actual} after {expected} was written", hint=_SAME_AGAIN
             )
         for entry, value in ((self._type, EVERY_SYNC), (self._cob_id, self._valid)):
             now = self._read(entry)
-            # Bit 30 of a COB-ID (no remote frames) is not kept by all drives, and not needed.
+            # Not all drives store bit 30 of a COB-ID (no remote frames), and it is not needed.
             if now | NO_RTR != value | NO_RTR:
                 raise CommandRefused(
                     f"{self._called}: {entry} reads {now:X}h after {value:X}h was written",

@@ -1,15 +1,17 @@
-"""One CAN channel: which it is, whether the cycles fit onto it, and raw frames in and out.
+"""CAN channel of a station: configuration, check of the bus load, and raw frame input and output.
 
-- `CanChannel` is the station's option `bus`; `open_bus` opens it with `python-can`.
-- `FramePort` is how the cycles see it: 16-byte frames (`hil.can`), sent and received without
-  waiting. Where `python-can` has a socket that carries raw frames (SocketCAN, a bus between
-  processes), `SocketPort` uses that socket, and `sending` and `receiving` move all frames of a
-  cycle by one call of the kernel; any other adapter works frame by frame (`PythonCanPort`).
-- `BusLog` logs all frames as `candump -L` does; the thread that owns the bus never waits for a
-  disk.
-- `load_of` says how full the bus is with a mapping at a rate, and `require_room` refuses what does
-  not fit. It counts the worst case of bit stuffing, because a frame that has to wait is a late
-  set-point.
+- `CanChannel` is the value of the station option `bus`; `open_bus` opens the channel with
+  `python-can`.
+- `FramePort` is the interface that the cycles use to send and receive 16-byte frames (`hil.can`)
+  without waiting. If `python-can` has a socket for raw frames (SocketCAN, a bus between processes),
+  `SocketPort` uses that socket, and `sending` and `receiving` move all frames of a cycle with one
+  system call. If the adapter has no such socket, `PythonCanPort` sends and receives the frames one
+  by one.
+- `BusLog` logs all frames in the format of `candump -L`. The thread that owns the bus never waits
+  for a disk.
+- `load_of` computes the bus load of a mapping at a rate, and `require_room` raises if the load is
+  too high. The load includes the worst case of bit stuffing, because a frame that has to wait
+  delays a set-point.
 """
 
 from __future__ import annotations
@@ -59,44 +61,47 @@ RPDO_COB_IDS = (0x200, 0x300, 0x400, 0x500)
 TPDO_COB_IDS = (0x180, 0x280, 0x380, 0x480)
 EMCY_COB_ID, HEARTBEAT_COB_ID = 0x080, 0x700
 SDO_REQUEST_COB_ID, SDO_ANSWER_COB_ID = 0x600, 0x580
-"""Predefined connection set (CiA 301): all but SYNC plus the node's id."""
+"""COB-IDs of the predefined connection set (CiA 301); a node adds its id to all except SYNC."""
 
 
 def rpdo_cob_id(number: int, node: int) -> int:
-    """COB-ID of an RPDO (number from 1) of a node."""
+    """Return the COB-ID of an RPDO (number from 1) of a node."""
     return RPDO_COB_IDS[number - 1] + node
 
 
 def tpdo_cob_id(number: int, node: int) -> int:
-    """COB-ID of a TPDO (number from 1) of a node."""
+    """Return the COB-ID of a TPDO (number from 1) of a node."""
     return TPDO_COB_IDS[number - 1] + node
 
 
 BITRATES = (10_000, 1_000_000)
-"""Classic CAN [bit/s]."""
+"""Valid bit rates of classic CAN: minimum and maximum [bit/s]."""
 
 SIMULATED_BITRATES = (10_000, 10_000_000)
-"""No wire has so much: it says that the computer alone is to be the limit."""
+"""Valid bit rates of a simulated bus [bit/s].
+
+The maximum is above the bit rate of any real bus, so that only the computer limits the cycle rate.
+"""
 
 BITRATE = 1_000_000
 
 SIMULATED = ("hil_unix", "virtual")
-"""Interfaces of python-can on which time may run faster than on the wall."""
+"""Interfaces of python-can on which device time can run faster than wall time."""
 
 HOSTED_WITHIN_S = 2.0
-"""How long the host of a simulated bus may take to accept a connection [s]."""
+"""Longest wait for the host of a simulated bus to accept a connection [s]."""
 
 _MUST = OptionChecks("cia402")
 
 
 @dataclass(frozen=True, slots=True)
 class CanChannel:
-    """The bus of a station, its option `bus`.
+    """CAN bus of a station, as set by the station option `bus`.
 
     Attributes:
-        interface: Of python-can.
-        channel: Of that interface: `can0`, a path, a number.
-        bitrate: Bits per second of classic CAN [bit/s].
+        interface: Name of the python-can interface.
+        channel: Channel of the python-can interface: a name (`can0`), a path or a number.
+        bitrate: Bit rate of classic CAN [bit/s].
     """
 
     interface: str
@@ -108,19 +113,20 @@ class CanChannel:
 
     @property
     def real(self) -> bool:
-        """Whether drives outside this computer may be on it."""
+        """Whether the bus can have drives outside this computer."""
         vcan = self.interface == "socketcan" and re.fullmatch(r"vcan\d+", self.channel)
         return not (vcan or self.interface in SIMULATED)
 
     def finding(self) -> Finding:
-        """Return whether the bus is switched on, as far as that can be seen without a frame.
+        """Return whether the bus is up, as far as this is detectable without sending a frame.
 
-        Nothing is sent: drives answer only a master, and another one may be at work.
+        No frame is sent for this check: drives answer only a master, and another master is possibly
+        active.
         """
         if self.interface == "socketcan":
             up = is_up(self.channel)
             if up is None:
-                hint = "plug the adapter in; ip link shows the interfaces there are"
+                hint = "plug the adapter in; `ip link` lists the existing interfaces"
                 return Finding("bus", False, f"there is no interface {self.channel}", hint=hint)
             hint = up_command(self.channel, self.bitrate)
             return Finding("bus", up, f"{self} is {'up' if up else 'down'}", hint=hint)
@@ -132,17 +138,21 @@ class CanChannel:
                     hosted = True
                 except OSError:
                     hosted = False
-            message = f"{self} {'is hosted' if hosted else 'is not hosted by anybody'}"
+            message = f"{self} {'is hosted' if hosted else 'has no host'}"
             return Finding("bus", hosted, message, hint="start the mock: hil mock can")
-        return Finding("bus", True, f"{self}: its adapter is seen only when it is opened")
+        return Finding("bus", True, f"{self}: the adapter can be checked only by opening it")
 
 
 def bus_of(value: Any) -> CanChannel:
-    """The bus of a station's mapping; raises `SpecError`."""
+    """Return the CAN bus described by the option `bus` of a station.
+
+    Raises:
+        SpecError: The option `bus` is missing, incomplete or has an invalid value.
+    """
     if value is None:
         raise SpecError(
-            "the driver cia402 lacks its option bus",
-            hint="say where the drives are, as in bus: {interface: socketcan, channel: can0, "
+            "the driver cia402 needs the option bus",
+            hint="declare the bus of the drives, as in bus: {interface: socketcan, channel: can0, "
             "bitrate: 1000000}",
         )
     given = _MUST.mapping_of("bus", value)
@@ -157,19 +167,19 @@ def bus_of(value: Any) -> CanChannel:
 
 
 def _interface(value: Any) -> str:
-    """Return an interface of python-can or its plug-ins; any text if it is not installed."""
+    """Return a valid name of a python-can interface; any text if python-can is not installed."""
     try:
         from can.interfaces import VALID_INTERFACES
-    except ImportError:  # joining the bus says what to install
+    except ImportError:  # `open_bus` reports the missing package
         return _MUST.text("bus.interface", value)
     return str(_MUST.choice("bus.interface", value, sorted(VALID_INTERFACES)))
 
 
 def _channel(interface: str, value: Any) -> str:
-    """Return a channel in the one form in which stations are compared."""
+    """Return the channel in normalized form, so that equal channels of two stations are equal."""
     channel = _MUST.text("bus.channel", str(value) if isinstance(value, int) else value)
     if ".." in Path(channel).parts:
-        raise _MUST.wrong_option("bus.channel", value, "name it, or give its path without ..")
+        raise _MUST.wrong_option("bus.channel", value, "use a name, or a path without '..'")
     if interface != "hil_unix":
         return channel
     try:
@@ -180,25 +190,25 @@ def _channel(interface: str, value: Any) -> str:
 
 
 STARTING_S = 10.0
-"""How long a bus between processes is waited for: `hil mock can &` may still be starting [s]."""
+"""Waiting time for a bus between processes, because the mock is possibly still starting [s]."""
 
 JOIN_AGAIN_S = 0.1
 _HINTS = {
     "hil_unix": "start the mock drives in another terminal first: hil mock can",
     "socketcan": "is the interface up? ip link set can0 up txqueuelen 100 type can bitrate 1000000",
 }
-_HINT = "is the adapter plugged in, its driver installed, and nobody else using it?"
+_HINT = "check that the adapter is plugged in, has its driver, and is not used by another program"
 
 
 def open_bus(bus: CanChannel, *, within_s: float = STARTING_S) -> can.BusABC:
-    """One end of the bus, of `python-can`; shut it down when done.
+    """Open the bus with `python-can`; the caller must shut the returned bus down.
 
     Args:
-        bus: Which.
-        within_s: How long to wait for the host of a bus between processes [s].
+        bus: Description of the CAN bus.
+        within_s: Longest waiting time for the host of a bus between processes [s].
 
     Raises:
-        RobotConnectionError: There is no such bus, or its adapter is not there.
+        RobotConnectionError: The bus does not exist, or its adapter is not connected.
         PluginError: `python-can` or the adapter's own package is not installed.
     """
     until = time.monotonic() + within_s
@@ -206,7 +216,7 @@ def open_bus(bus: CanChannel, *, within_s: float = STARTING_S) -> can.BusABC:
         try:
             return _opened(bus)
         except RobotConnectionError:
-            # An adapter that is not there now will not be there in a moment either.
+            # Only a bus between processes can appear later; retrying does not help with an adapter.
             if bus.interface != "hil_unix" or time.monotonic() >= until:
                 raise
         time.sleep(JOIN_AGAIN_S)
@@ -220,46 +230,49 @@ def _opened(bus: CanChannel) -> can.BusABC:
     except ImportError as error:
         raise PluginError(
             f"the bus {bus.interface} needs a package that is not installed: {error}",
-            hint='pip install "hil[can]", and what python-can asks for with this adapter',
+            hint='pip install "hil[can]", and the package of python-can for this adapter',
         ) from error
     except (can.CanError, OSError, ValueError, TypeError) as error:
-        said = str(error).splitlines()[0]
+        reason = str(error).splitlines()[0]
         raise RobotConnectionError(
-            f"the CAN bus {bus.interface} {bus.channel} cannot be joined: {said}",
+            f"the CAN bus {bus.interface} {bus.channel} cannot be opened: {reason}",
             hint=_HINTS.get(bus.interface, _HINT),
         ) from error
 
 
 class FramePort(Protocol):
-    """One end of a bus."""
+    """Connection to a CAN bus on which frames are sent and received as 16 bytes."""
 
     def send(self, frame: bytes | memoryview) -> bool:
-        """Put a frame on the bus; False when there is no room for it.
+        """Put a frame on the bus; return False if the transmit queue is full.
 
         Raises:
-            RobotConnectionError: The bus is gone.
+            RobotConnectionError: The connection to the bus is lost.
         """
 
     def receive(self, until_s: float) -> bytes | None:
-        """The next frame; None when there is none until that `time.monotonic` (0: right now).
+        """Return the next received frame; None if no frame is received before the time limit.
+
+        Args:
+            until_s: Time limit of the wait [s, `time.monotonic`]; with 0 the method does not wait.
 
         Raises:
-            RobotConnectionError: The bus is gone.
+            RobotConnectionError: The connection to the bus is lost.
         """
 
     def wait(self, until_s: float) -> bool:
-        """Whether there is something to receive, at the latest at that `time.monotonic`."""
+        """Return whether a frame is available; wait at most until a time of `time.monotonic`."""
 
 
 AGAIN_S = 1e-4
-"""From one try to the next where the transmit queue is full [s]."""
+"""Time between two attempts to send while the transmit queue is full [s]."""
 
 
 def send_within(port: FramePort, frame: bytes | memoryview, until_s: float) -> bool:
-    """Put a frame on the bus, again and again where there is no room, until that `monotonic`.
+    """Send a frame; retry while the transmit queue is full, until a time of `time.monotonic`.
 
-    SocketCAN's queue has room for ten frames unless it was made longer: a cycle has more,
-    and each takes 0.13 ms on the wire at 1 Mbit/s.
+    The default transmit queue of SocketCAN holds ten frames. A cycle has more than ten frames, and
+    each frame takes 0.13 ms on the wire at 1 Mbit/s.
     """
     while not port.send(frame):
         if time.monotonic() >= until_s:
@@ -269,7 +282,11 @@ def send_within(port: FramePort, frame: bytes | memoryview, until_s: float) -> b
 
 
 def port_of(bus: Any) -> FramePort:
-    """The port of a `python-can` bus: its own socket where it has one that carries raw frames."""
+    """Return a `FramePort` for a `python-can` bus.
+
+    The port uses the raw-frame socket of the bus; if the bus has no such socket, the port uses the
+    methods of `python-can`.
+    """
     line = getattr(bus, "socket", None)
     if isinstance(line, socket.socket) and _carries_frames(line):
         return SocketPort(line, str(bus.channel_info))
@@ -286,16 +303,16 @@ _NOW = socket.MSG_DONTWAIT
 
 
 class SocketPort:
-    """A socket whose packets are frames: `UnixBus` and SocketCAN.
+    """Frame port on a socket with one frame per packet, for `UnixBus` and SocketCAN.
 
-    Nothing of it is changed: its other users may go on.
+    The port does not change the settings of the socket, so other code can use the same socket.
 
     Args:
-        line: The socket.
-        name: Of the bus, for messages.
+        line: Socket of the bus.
+        name: Name of the bus, for messages.
 
     Attributes:
-        line: As given.
+        line: Socket of the bus.
     """
 
     def __init__(self, line: socket.socket, name: str) -> None:
@@ -322,25 +339,25 @@ class SocketPort:
         except OSError as error:
             raise self.gone(error.strerror or str(error)) from error
         if not raw:
-            raise self.gone("its host has ended, or frames were not taken fast enough")
+            raise self.gone("its host has ended, or frames were not read fast enough")
         return raw
 
     def wait(self, until_s: float) -> bool:
         """See `FramePort`."""
-        # select() counts in microseconds; poll and socket time-outs in milliseconds.
+        # select() has a resolution of microseconds; poll and socket time-outs have milliseconds.
         wait_s = until_s - time.monotonic()
         return bool(select.select(self._lines, (), (), wait_s if wait_s > 0.0 else 0.0)[0])
 
     def gone(self, why: str) -> RobotConnectionError:
-        """Return the error for a bus that is gone."""
+        """Return the error that reports a lost connection to the bus."""
         return _gone(self._name, why)
 
 
 class PythonCanPort:
-    """Any other `python-can` bus.
+    """Port on any `python-can` bus, one frame at a time.
 
     Args:
-        bus: Of `python-can`; nothing else receives from it.
+        bus: Bus of `python-can`; no other code must receive from this bus.
     """
 
     def __init__(self, bus: Any) -> None:
@@ -398,8 +415,8 @@ def _raw(message: Any) -> bytes:
 
 def _gone(name: str, why: str) -> RobotConnectionError:
     return RobotConnectionError(
-        f"the CAN bus ({name}) is gone: {why}",
-        hint="see to adapter, cable and power (mock drives: is `hil mock can` running?), "
+        f"the CAN bus ({name}) is lost: {why}",
+        hint="check adapter, cable and power (mock drives: is `hil mock can` running?), "
         "then connect again",
     )
 
@@ -408,13 +425,15 @@ Sending = Callable[[float], bool]
 
 
 def sending(port: FramePort, frames: Sequence[bytearray | memoryview]) -> Sending:
-    """Return a function that sends these frames as they then are; False if there was no room.
+    """Return a function that sends a fixed list of frames with their contents at the call.
 
-    It is told until when (`time.monotonic`) it may try again with what there was no room for.
+    The argument of the returned function is the time of `time.monotonic` until which the function
+    retries while the transmit queue is full. The returned function returns False if the transmit
+    queue was full until that time.
 
     Args:
-        port: To the bus.
-        frames: Of 16 bytes each, writable; they stay where they are.
+        port: Port of the bus.
+        frames: Writable buffers of 16 bytes, one per frame, that must keep their place in memory.
     """
     if isinstance(port, SocketPort):
         return _burst(port, frames)
@@ -444,7 +463,7 @@ def _burst(port: SocketPort, frames: Sequence[bytearray | memoryview]) -> Sendin
 
 
 def receiving(port: FramePort) -> Callable[[], Sequence[bytes]]:
-    """Return a function that returns waiting frames, at most `MOST`, without waiting for more."""
+    """Return a function that returns at most `MOST` received frames without blocking."""
     if isinstance(port, SocketPort):
         return _catch(port)
     receive = port.receive
@@ -465,7 +484,7 @@ def _catch(port: SocketPort) -> Callable[[], Sequence[bytes]]:
         try:
             return take(line)
         except OSError as error:
-            why = error.strerror or "its host has ended, or frames were not taken fast enough"
+            why = error.strerror or "its host has ended, or frames were not read fast enough"
             raise port.gone(why) from error
 
     return at_once
@@ -475,15 +494,19 @@ Log = Callable[[float, bytes], None]
 
 
 class BusLog:
-    """All frames in the order in which this end saw them, as `candump -L` writes them.
+    """Log of all sent and received frames in the format of `candump -L`.
+
+    The order of the frames in the log is the order in which this process sent or received the
+    frames.
 
     Args:
-        path: File; where there is one, the first of `run-2.log`, `run-3.log`, … that is free: a log
-            is one connection, and that of another is not lost.
-        channel: How to call the bus in it.
+        path: Log file. If the file exists, the first free name of `run-2.log`, `run-3.log`, … is
+            used, so that each connection has its own log and no log is overwritten.
+        channel: Name of the bus in the log.
 
     Raises:
-        RecordingError: The file cannot be made; `flush` and `close` raise it as well.
+        RecordingError: The log file cannot be created; `flush` and `close` raise this error if they
+            cannot write.
     """
 
     def __init__(self, path: str, channel: str) -> None:
@@ -492,21 +515,21 @@ class BusLog:
 
     @property
     def path(self) -> Path:
-        """Where it is."""
+        """Path of the log file."""
         return self._writer.path
 
     def __call__(self, time_s: float, raw: bytes) -> None:
-        """Keep a frame [Unix time, 16 bytes]; from any thread."""
+        """Queue a frame for the log with its Unix time [s]; any thread can call this."""
         self._waiting.append((time_s, raw))
 
     def flush(self) -> None:
-        """Write waiting frames; called by one thread."""
+        """Write the queued frames to the log file; only one thread may call this."""
         while self._waiting:
             time_s, raw = self._waiting.popleft()
             self._writer.write(unpack_frame(raw, time_s))
 
     def close(self) -> None:
-        """Write all and be done. Idempotent."""
+        """Write the queued frames to the log file and close the file. Idempotent."""
         self.flush()
         self._writer.close()
 
@@ -517,11 +540,11 @@ def _free(path: Path) -> Path:
 
 
 class LoggedPort:
-    """A port whose frames are logged, in the order in which this end sees them.
+    """Port that logs all frames in the order in which they are sent and received.
 
     Args:
-        port: The port.
-        log: Gets Unix time and 16 bytes.
+        port: Port through which the frames are sent and received.
+        log: Callback for each frame, with the Unix time [s] and the 16 bytes of the frame.
     """
 
     def __init__(self, port: FramePort, log: Log) -> None:
@@ -547,30 +570,30 @@ class LoggedPort:
 
 
 MOST_CYCLIC = 0.80
-"""Share of the bus that SYNC and process data may take, at worst."""
+"""Maximum worst-case share of the bus for SYNC and process data."""
 
 MOST_LOAD = 0.90
-"""Share that all frames may take, at worst; the rest is for EMCY, and for frames sent again."""
+"""Maximum worst-case share of the bus for all frames; the rest is for EMCY and repeats."""
 
 LEAST_HZ = 4.0
-"""Slower than that (60C2h: 250 ms) nothing is led along a path."""
+"""Minimum cycle rate [Hz], because drives cannot follow a path if 60C2h exceeds 250 ms."""
 
 DRIVE_HEARTBEAT_HZ, MASTER_HEARTBEAT_HZ = 10.0, 20.0
 
 MARKER_HZ = 10.0
-"""Steps of the plan and changes of status, per second at most for long."""
+"""Maximum sustained rate of marker frames, which announce plan steps and status changes [Hz]."""
 
 SDO_HZ = 10.0
-"""Requests per second beside the cycles (temperatures, error codes), each with its answer."""
+"""Rate of SDO requests and answers (temperatures, error codes) while the cycles run [Hz]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """How full the bus is: 1.0 is a full one.
+    """Bus load as a share of the bit rate: 1.0 is a full bus.
 
     Attributes:
-        cyclic: By SYNC, RPDOs and TPDOs.
-        beside: By heartbeats, marker and SDO.
+        cyclic: Bus load by SYNC, RPDOs and TPDOs.
+        beside: Bus load by heartbeats, markers and SDOs.
     """
 
     cyclic: BusLoad
@@ -578,14 +601,14 @@ class Load:
 
     @property
     def total(self) -> BusLoad:
-        """By all frames."""
+        """Bus load by all frames."""
         return BusLoad(
             self.cyclic.nominal + self.beside.nominal, self.cyclic.worst + self.beside.worst
         )
 
     @property
     def fits(self) -> bool:
-        """Whether the drives get their set-points in time."""
+        """Whether the bus load is so low that the drives get their set-points in time."""
         return self.cyclic.worst <= MOST_CYCLIC and self.total.worst <= MOST_LOAD
 
     def __str__(self) -> str:
@@ -595,33 +618,34 @@ class Load:
 def require_room(
     name: str, n: int, rate_hz: float, bitrate: float, allowed: Iterable[str] = ()
 ) -> None:
-    """Raise if the cycles do not fit onto the bus.
+    """Raise if the cycles exceed the capacity of the bus.
 
     Args:
-        name: Of the mapping.
+        name: Name of the PDO mapping.
         n: Number of axes.
-        rate_hz: Cycles per second.
-        bitrate: Of the bus [bit/s].
-        allowed: Names of mappings that would do for the purpose, for the hint.
+        rate_hz: Cycle rate [Hz].
+        bitrate: Bit rate of the bus [bit/s].
+        allowed: Names of alternative mappings that the hint can propose.
 
     Raises:
-        SpecError: It says how full the bus would be, and what fits.
+        SpecError: The bus load is too high; the message contains the bus load, and the hint
+            contains a possible cycle rate.
     """
     load = load_of(MAPPINGS[name], n, rate_hz, bitrate)
     if load.fits:
         return
     raise SpecError(
         f"{n} axes at {rate_hz:g} Hz with mapping {name} do not fit into {bitrate / 1000:g} "
-        f"kbit/s: {_said(load)}",
+        f"kbit/s: {_load_text(load)}",
         hint=_what_fits(name, n, rate_hz, bitrate, allowed),
     )
 
 
-def _said(load: Load) -> str:
+def _load_text(load: Load) -> str:
     c, t = load.cyclic, load.total
     return (
-        f"SYNC and process data take {c.nominal:.0%} of the bus, {c.worst:.0%} with the worst bit "
-        f"stuffing ({MOST_CYCLIC:.0%} is the most), all frames {t.worst:.0%} ({MOST_LOAD:.0%})"
+        f"SYNC and process data need {c.nominal:.0%} of the bus, {c.worst:.0%} with worst-case bit "
+        f"stuffing (limit {MOST_CYCLIC:.0%}), all frames {t.worst:.0%} (limit {MOST_LOAD:.0%})"
     )
 
 
@@ -629,12 +653,12 @@ def _what_fits(name: str, n: int, rate_hz: float, bitrate: float, allowed: Itera
     most = most_rate_hz(MAPPINGS[name], n, bitrate)
     rate = f"rate_hz {most:.6g} is the largest that fits" if most else "no rate fits"
     smaller = [m for m in allowed if load_of(MAPPINGS[m], n, rate_hz, bitrate).fits]
-    other = f"; with mapping {' or '.join(smaller)} {rate_hz:g} Hz fit" if smaller else ""
-    return f"{rate}{other}; else a faster bus, or EtherCAT"
+    other = f"; {rate_hz:g} Hz fit with mapping {' or '.join(smaller)}" if smaller else ""
+    return f"{rate}{other}; otherwise use a faster bus, or EtherCAT"
 
 
 def load_of(mapping: Mapping, n: int, rate_hz: float, bitrate: float) -> Load:
-    """How full a bus of `bitrate` [bit/s] is with n axes at `rate_hz` cycles per second."""
+    """Return the load of a bus of `bitrate` [bit/s] with n axes and `rate_hz` cycles per second."""
     cyclic = bus_load(cycle_lengths(mapping, n), rate_hz, bitrate)
     beats = bus_load([1], n * DRIVE_HEARTBEAT_HZ + MASTER_HEARTBEAT_HZ, bitrate)
     marker = bus_load([6], MARKER_HZ, bitrate)
@@ -644,7 +668,7 @@ def load_of(mapping: Mapping, n: int, rate_hz: float, bitrate: float) -> Load:
 
 
 def most_rate_hz(mapping: Mapping, n: int, bitrate: float) -> float:
-    """Return the largest rate that fits and has whole milliseconds a cycle [Hz]; 0 if none does."""
+    """Return the largest possible cycle rate [Hz], with a period in whole ms; 0 if none."""
     beside = load_of(mapping, n, 0.0, bitrate).beside.worst
     room = min(MOST_CYCLIC, MOST_LOAD - beside) * bitrate
     if room <= 0.0:
@@ -654,5 +678,5 @@ def most_rate_hz(mapping: Mapping, n: int, bitrate: float) -> float:
 
 
 def cycle_lengths(mapping: Mapping, n: int) -> list[int]:
-    """Data bytes of the frames of one cycle: SYNC, RPDOs and TPDOs of n axes."""
+    """Return the number of data bytes of each frame in one cycle: SYNC, RPDOs, TPDOs of n axes."""
     return [0, *(pdo.length for pdo in mapping.pdos for _ in range(n))]

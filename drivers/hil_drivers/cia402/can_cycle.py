@@ -1,20 +1,21 @@
-"""One cycle over CAN: SYNC, RPDOs, the TPDOs that answer it, and what else is heard.
+"""Cyclic exchange over CAN: SYNC, RPDOs, the answering TPDOs, and all other received frames.
 
-docs/explanation/can-cycle.md says what is on the wire when, and what is counted as what. This is
-our own code because of the time that a cycle has (`benchmarks/can.py`): all commands are packed
-into one block of memory and sent by one call of the kernel, all answers taken by one call and
-unpacked at one go. In the order of the file:
+docs/explanation/can-cycle.md describes when each frame is on the wire and how frames are counted.
+This module does not use the PDO code of a CANopen library, because that code is too slow for a
+cycle (`benchmarks/can.py`). All commands of a cycle are packed into one block of memory and sent
+with one system call. All answers of a cycle are received with one system call and unpacked
+together. The file contains the following parts, in this order:
 
-- `CanCyclic` is the `Cyclic` of CAN; it puts `Commands` on the bus and reads `Answers`.
-- `Collector` takes the answers to a SYNC. Nothing on an answer says which SYNC it belongs to, so
-  where answers are owed from earlier cycles it is told late from fresh by what comes after it;
-  `Debts` keeps the account.
-- `NodeWatch` looks at every other frame: heartbeats, boot-ups, emergencies, errors of the bus. With
-  `MasterWatch` it finds another master, and `require_no_master` listens for one before the first
-  frame is sent.
-- `Temperatures` reads motor temperatures from the SDO answers that pass. The driver and a replay of
-  its log see the same frames, so both know a temperature from the same cycle on.
-- `stop_directly` is the stop of last resort: quick stop from a process that does not own the bus.
+- `CanCyclic` implements `Cyclic` on CAN. `CanCyclic` sends `Commands` and reads `Answers`.
+- `Collector` receives the answers to a SYNC. A drive's answer does not contain the number of its
+  SYNC. If answers of earlier cycles are missing, the collector uses later frames to decide whether
+  an answer is late or fresh; `Debts` counts the missing answers.
+- `NodeWatch` handles every frame that is not process data: heartbeats, boot-ups, emergencies, bus
+  errors. `MasterWatch` detects another master on the bus. `require_no_master` listens for another
+  master before the first frame is sent.
+- `Temperatures` reads motor temperatures from received SDO answers. The driver and a replay of its
+  log process the same frames, so a temperature has the same cycle in the run and in the replay.
+- `stop_directly` sends a quick stop from a process that does not own the bus, as a last resort.
 """
 
 from __future__ import annotations
@@ -52,46 +53,49 @@ from hil_drivers.cia402.objects import MODE_NAMES
 from hil_drivers.cia402.options import Options
 
 BEAT_S = 0.05
-"""From one heartbeat of ours to the next, by device time [s]."""
+"""Period of the master's heartbeat, in device time [s]."""
 
 PUMP_S = 0.01
-"""How long one wait of `pump` takes at most [s]."""
+"""Longest wait for a frame in one round of `pump` [s]."""
 
 SLACK_SHARE, MOST_SLACK_S = 0.5, 0.002
-"""Share of the time for answers, and time [s], within which frames may wait for room."""
+"""Limits of the retry time while the transmit queue is full: share of the answer time, and [s]."""
 
 MARKER = struct.Struct("<iH")
-"""What the master announces: segment and status."""
+"""Layout of the master's marker frame: segment (int32) and status (uint16)."""
 
 Notify = Callable[[int, bytes, float], None]
 _OPERATIONAL = b"\x05"
 
 _HEAD_BYTES = 5
-"""Identifier and length: enough to know a frame by."""
+"""Length of the CAN identifier and the data length in a frame [bytes]; both identify a slot."""
 
 _HEAD = FRAME.size - MOST_BYTES
 
 
 class CanCyclic:
-    """Implements `hil_drivers.cia402.bus.Cyclic` over a frame port.
+    """Implementation of `hil_drivers.cia402.bus.Cyclic` over a frame port.
 
     Args:
-        port: Sends and receives 16-byte frames (`hil_drivers.cia402.can_channel`).
-        mapping: Of every axis.
+        port: Port that sends and receives 16-byte frames (`hil_drivers.cia402.can_channel`).
+        mapping: PDO mapping of every axis.
         nodes: Node ids, in the order of the axes.
-        period_s: Device time of a cycle [s].
-        master_id: Of our heartbeat and marker.
-        notify: Gets every frame that is no process data: `canopen.Network.notify`
-            (COB-ID, data, Unix time); called by the thread that calls us.
-        log: Gets every frame sent and received: Unix time, 16 bytes.
-        late_cycles: Cycles in a row in which the bus may have no room for our frames, or in which a
-            node may answer twice.
+        period_s: Duration of a cycle in device time [s].
+        master_id: Node id of the master's heartbeat and marker.
+        notify: Callback for every frame that is not process data: `canopen.Network.notify` (COB-ID,
+            data, Unix time). The callback `notify` runs in the thread that calls the method.
+        log: Callback for every sent or received frame, with the Unix time [s] and the 16 bytes of
+            the frame.
+        late_cycles: Tolerated number of consecutive cycles in which the transmit queue is full, or
+            in which a node answers twice.
 
     Attributes:
-        counts: Of errors so far.
-        sync_time: Unix time of the last SYNC.
-        sent: (R, n, 8) RPDO bytes sent with it, as they lie in memory until the next exchange.
-        answered: (T, n, 8) TPDO bytes, likewise.
+        counts: Numbers of bus errors since the bus was opened.
+        sync_time: Unix time of the last SYNC [s].
+        sent: (R, n, 8) RPDO bytes that were sent with the last SYNC: a view of the send buffer,
+            which the next exchange overwrites.
+        answered: (T, n, 8) TPDO bytes of the last cycle: a view of the receive buffer, which the
+            next exchange overwrites.
     """
 
     def __init__(
@@ -132,7 +136,10 @@ class CanCyclic:
         return self._synced_s
 
     def exchange(self, outputs: Outputs, give_up_s: float) -> Inputs:
-        """See `Cyclic`; the same `Inputs` every time."""
+        """Exchange the process data of one cycle; see `Cyclic`.
+
+        Every call of `exchange` fills and returns the same `Inputs` object.
+        """
         self._begin(outputs, give_up_s)
         self._collector.collect(self._inputs, self._synced_s, give_up_s)
         return self._inputs
@@ -142,7 +149,7 @@ class CanCyclic:
         self._collector.idle(until_s)
 
     def pump(self, until_s: float) -> None:
-        """See `Cyclic`; also sends the master's heartbeat."""
+        """Handle frames until a time limit and send the master's heartbeat; see `Cyclic`."""
         then = time.monotonic()
         while then < until_s:
             self._send_beat()
@@ -159,15 +166,15 @@ class CanCyclic:
         return self._watch.take_news()
 
     def watch(self, on: bool) -> None:
-        """Whether overdue heartbeats and boot-ups of the drives are news, from now on."""
+        """Switch the reporting of the drives' overdue heartbeats and boot-ups as news on or off."""
         self._watch.watch(on)
 
     def _begin(self, outputs: Outputs, give_up_s: float) -> None:
-        """Send all that is ours, SYNC as early as may be."""
+        """Send all frames of a cycle; SYNC is the first of the cyclic frames."""
         self._commands.pack(outputs)
-        if (told := (outputs.segment, outputs.status)) != self._announced:
-            self._announced = told
-            self._send(pack_frame(self._marker_id, MARKER.pack(*told)))
+        if (announced := (outputs.segment, outputs.status)) != self._announced:
+            self._announced = announced
+            self._send(pack_frame(self._marker_id, MARKER.pack(*announced)))
         self._watch.cycle += 1
         self._synced_s = time.monotonic()
         self._device_s += self._period_s
@@ -191,14 +198,15 @@ class CanCyclic:
 
 
 class Commands:
-    """The RPDOs of one cycle.
+    """Command frames (RPDOs) of one cycle.
 
     Args:
-        mapping, nodes: Of the arm.
+        mapping: PDO mapping of the arm.
+        nodes: Node ids of the arm, in the order of the axes.
 
     Attributes:
-        frames: Views of 16 bytes, in the order in which they are sent.
-        data: (R, n, 8) the data bytes of the same.
+        frames: Views of 16 bytes each, in the order in which the frames are sent.
+        data: (R, n, 8) data bytes of the frames.
     """
 
     def __init__(self, mapping: Mapping, nodes: Sequence[int]) -> None:
@@ -209,7 +217,7 @@ class Commands:
         ]
         self._packing = struct.Struct("<" + "".join(("IB3x" + _codes(pdo)) * n for pdo in pdos))
         self._fields = [[entry.name for entry in pdo.entries] for pdo in pdos]
-        # Identifiers and lengths never change: their places in the list of values are filled once.
+        # Identifiers and lengths never change, so they are written into the list only once.
         self._values: list[int] = []
         self._places: list[tuple[str, slice]] = []
         for number, names in enumerate(self._fields):
@@ -222,7 +230,7 @@ class Commands:
         self.data = _data(self._memory, len(pdos), n)
 
     def pack(self, outputs: Outputs) -> None:
-        """Write the frames anew."""
+        """Write the outputs into the frames."""
         values = self._values
         for name, places in self._places:
             values[places] = getattr(outputs, name)
@@ -230,17 +238,19 @@ class Commands:
 
 
 class Answers:
-    """The TPDOs of one cycle, in the order PDO by PDO, axis by axis: their slots.
+    """Answer frames (TPDOs) of one cycle: one slot per frame, ordered by PDO, then by axis.
 
     Args:
-        mapping, nodes: Of the arm.
+        mapping: PDO mapping of the arm.
+        nodes: Node ids of the arm, in the order of the axes.
 
     Attributes:
-        slots: First five bytes of a frame (identifier, length) → the slot it belongs to.
-        memory: Frames by slot, 16 bytes each.
-        data: (T, n, 8) the data bytes of the same.
-        cob_ids: Of all slots.
-        all_fresh: `Inputs.fresh` when all came.
+        slots: Dictionary from the first five bytes of a frame (identifier, length) to the slot of
+            the frame.
+        memory: Buffer with the frames in the order of the slots, 16 bytes per frame.
+        data: (T, n, 8) data bytes of the frames.
+        cob_ids: COB-IDs of all slots.
+        all_fresh: List for `Inputs.fresh` in a cycle in which all answers were received.
     """
 
     def __init__(self, mapping: Mapping, nodes: Sequence[int]) -> None:
@@ -266,11 +276,11 @@ class Answers:
         return len(self.slots)
 
     def axis(self, slot: int) -> int:
-        """Return the axis of a slot."""
+        """Return the number of the axis that fills a slot."""
         return slot % self._n
 
     def unpack(self, inputs: Inputs) -> None:
-        """Write the values of all slots."""
+        """Unpack the values of all slots into the inputs."""
         values = self._packing.unpack_from(self.memory)
         for name, places in self._places:
             getattr(inputs, name)[:] = values[places]
@@ -295,28 +305,36 @@ LEAST_NAP_S = 2e-5
 MOST_NAP_SHARE = 0.5
 
 NAP_LONGER, NAP_SHORTER = 1.05, 0.99
-"""A nap that was too short becomes longer, one that was not shorter: five of six are long enough,
-and a single slow cycle changes little."""
+"""Factors by which the sleep time after SYNC grows if it was too short, and else shrinks.
+
+With these factors about five of six sleeps are long enough, and a single slow cycle changes the
+sleep time only little.
+"""
 
 SOON_TIMES, SOON_S = 2.0, 5e-4
-"""An answer comes soon when it takes no longer than so many times what is usual, and this."""
+"""Limit of the answer time of a prompt answer: multiple of the usual time, plus a time [s]."""
 
 USUAL_FADES = 0.995
-"""Usual is what the slowest of the last few hundred cycles took, those with debts apart."""
+"""Factor by which the usual answer time decays in each cycle.
+
+The usual answer time is the answer time of the slowest of the last few hundred cycles. Cycles in
+which answers of earlier cycles were missing are not used.
+"""
 
 
 class Collector:
-    """The slots of one cycle, filled as frames come.
+    """Receiver that assigns the frames of one cycle to slots.
 
-    Which SYNC an answer belongs to is not written on it. Where one is owed from an earlier cycle,
-    the first that comes is that one if a second follows, or if answers are slow just now; it is
-    this cycle's again when it came soon and nothing more has come by the next SYNC. Where several
-    are owed, `Debts` is strict.
+    A drive's answer does not contain the number of its SYNC. If one answer of an earlier cycle is
+    missing, the collector waits for a second answer of the same drive. If a second answer follows,
+    or if answers are slow at that time, the first answer belongs to the earlier cycle. The first
+    answer belongs to the present cycle if the answer was prompt and no further answer is received
+    before the next SYNC. If several answers of a slot are missing, `Debts` applies a stricter rule.
 
     Args:
-        port: Where frames come from.
-        answers: The slots.
-        watch: Takes everything else, and counts.
+        port: Source of the frames.
+        answers: Slots of the answers.
+        watch: Handler of all frames that are not process data; also counts errors.
     """
 
     def __init__(self, port: FramePort, answers: Answers, watch: NodeWatch) -> None:
@@ -331,15 +349,16 @@ class Collector:
         self._late_axes: set[int] = set()
 
     def collect(self, inputs: Inputs, synced_s: float, give_up_s: float) -> None:
-        """Fill `inputs` with the answers to a SYNC.
+        """Receive the answers to a SYNC and write their values into `inputs`.
 
         Args:
-            inputs: To be filled in; values without a fresh answer stay.
-            synced_s: When it was sent (`time.monotonic`).
-            give_up_s: When to be done with waiting.
+            inputs: Object into which the values are written; values of axes without a fresh answer
+                are not changed.
+            synced_s: Time at which SYNC was sent (`time.monotonic`) [s].
+            give_up_s: Latest time at which the wait for answers ends (`time.monotonic`) [s].
         """
         if self._doubtful and self._counts.late == self._late_then:
-            self._debts.forget_lost()  # nothing has come since: it was lost after all
+            self._debts.forget_lost()  # no late answer followed: the missing one is lost
         self._doubtful = False
         self._nap(synced_s, give_up_s)
         all_came = self._fill(synced_s, give_up_s)
@@ -355,7 +374,7 @@ class Collector:
         self._answers.unpack(inputs)
 
     def idle(self, until_s: float) -> None:
-        """Handle frames between two cycles, until that time of `time.monotonic`."""
+        """Handle frames that arrive between two cycles, until a time of `time.monotonic` [s]."""
         port = self._port
         while port.wait(until_s):
             raw = port.receive(0.0)
@@ -369,14 +388,14 @@ class Collector:
                 self._was_owed(slot)
 
     def _nap(self, synced_s: float, give_up_s: float) -> None:
-        """Sleep while answers come: one wake-up for all of them, not one for each."""
+        """Sleep while answers arrive, so that the thread wakes only one time for all answers."""
         now = time.monotonic()
         nap_s = synced_s + min(self._nap_s, MOST_NAP_SHARE * (give_up_s - synced_s)) - now
         if nap_s > LEAST_NAP_S:
             time.sleep(nap_s)
 
     def _fill(self, synced_s: float, give_up_s: float) -> bool:
-        """Take one answer for every slot; whether all came."""
+        """Receive one answer per slot; return whether all slots received an answer."""
         came, take, slot_of = self._came, self._take, self._slot_of
         came[:] = self._none_came
         left, takes = len(came), 0
@@ -395,12 +414,12 @@ class Collector:
                         self._debts.came(slot, time.monotonic())
                 else:
                     self._second(slot, raw)
-        if not self._debts:  # else they may be older than they seem
+        if not self._debts:  # else an answer may belong to an earlier cycle
             self._learn(takes > 1, synced_s)
         return True
 
     def _learn(self, too_short: bool, synced_s: float) -> None:
-        """How long answers take, and how long a nap is to be."""
+        """Adapt the usual answer time and the sleep time after SYNC to this cycle."""
         self._usual_s = max(time.monotonic() - synced_s, USUAL_FADES * self._usual_s)
         if too_short:
             self._nap_s = self._nap_s * NAP_LONGER or time.monotonic() - synced_s
@@ -408,11 +427,12 @@ class Collector:
             self._nap_s *= NAP_SHORTER
 
     def _settle(self, synced_s: float, give_up_s: float, all_came: bool) -> bool:
-        """Whether the answers are those to this SYNC, where earlier ones are owed.
+        """Return whether all answers belong to this SYNC after earlier answers were missing.
 
-        The second is waited for as long as there is time. When none comes, the owed one was lost
-        if this one came as soon as answers usually do, and if others had answered before: when
-        none had, all are slow rather than lost.
+        The method waits until `give_up_s` for second answers. If no second answer is received, the
+        missing answer counts as lost, provided that the present answer was prompt and that at least
+        one slot was not missing an answer. If answers of all slots are missing, probably all drives
+        are slow.
         """
         debts, soon_s = self._debts, synced_s + SOON_TIMES * self._usual_s + SOON_S
         if all_came:
@@ -426,7 +446,7 @@ class Collector:
         return all_came and not debts
 
     def _take_more(self, give_up_s: float) -> None:
-        """Handle frames as long as answers are missing."""
+        """Handle frames until the time limit while answers of earlier cycles are missing."""
         while self._debts:
             raw = self._port.receive(give_up_s)
             if raw is None:
@@ -438,14 +458,14 @@ class Collector:
                 self._second(slot, raw)
 
     def _second(self, slot: int, raw: bytes) -> None:
-        """Another frame for a slot that has one: the newest is that of this cycle."""
+        """Handle a second frame for a slot: the newest frame belongs to this cycle."""
         if self._debts.watched:
             self._debts.came(slot, time.monotonic())
         self._was_owed(slot)
         self._came[slot] = raw
 
     def _was_owed(self, slot: int) -> None:
-        """Count a frame as late if one was owed, else as doubled."""
+        """Count a frame as late if an earlier answer of its slot was missing, else as doubled."""
         if self._debts.pay(slot):
             self._is_late(slot)
         else:
@@ -456,7 +476,7 @@ class Collector:
         self._late_axes.add(self._answers.axis(slot))
 
     def _miss(self, inputs: Inputs) -> None:
-        """Fill empty slots with earlier data, and note which answers are missing."""
+        """Fill slots without an answer with earlier data, and count the missing answers."""
         answers, came = self._answers, self._came
         owed = set(self._debts.slots)
         for slot, raw in enumerate(came):
@@ -464,7 +484,7 @@ class Collector:
                 continue
             if raw is None:
                 self._debts.owe(slot)
-            else:  # that of an earlier cycle: one is paid, this one is owed
+            else:  # late answer of an earlier cycle: now this cycle's answer is missing
                 self._is_late(slot)
             self._counts.missing += 1
             came[slot] = bytes(answers.memory[slot * FRAME.size : (slot + 1) * FRAME.size])
@@ -472,19 +492,24 @@ class Collector:
 
 
 CONFIRMED = 5
-"""Cycles in a row with one answer each, soon after the SYNC, that show that the rest was lost."""
+"""Number of consecutive cycles with one prompt answer that prove missing answers to be lost."""
 
 STRICT_FROM = 2
-"""Answers owed from which on nothing is taken for fresh before they have come or are shown lost."""
+"""Number of missing answers from which a slot counts as strict.
+
+In a strict slot no answer counts as fresh until the missing answers of the slot were received or
+are proved to be lost.
+"""
 
 
 class Debts:
-    """Answers that had not come when their cycle was over.
+    """Account of the answers that were not received before the end of their cycle.
 
-    One that is owed alone may be a frame that was lost: the next cycle shows it. Where several are
-    owed a drive or a computer stood still, and the first that come belong to older SYNCs. Such a
-    slot is strict until all have come, or until its drive has answered `CONFIRMED` times in a row
-    as if nothing were left.
+    If one answer of a slot is missing, the frame of that answer was possibly lost; the next cycle
+    shows whether the frame was late instead. If several answers of a slot are missing, a drive or
+    the computer was delayed, and the first answers received belong to older SYNCs. A slot with
+    several missing answers is strict until all missing answers were received, or until the drive of
+    the slot has answered exactly once and promptly in `CONFIRMED` consecutive cycles.
     """
 
     def __init__(self) -> None:
@@ -500,22 +525,22 @@ class Debts:
 
     @property
     def slots(self) -> list[int]:
-        """Slots that owe answers."""
+        """Numbers of the slots with missing answers."""
         return list(self._owed)
 
     @property
     def watched(self) -> bool:
-        """Whether any slot is strict: all its frames are passed to `came`."""
+        """Whether at least one slot is strict; if True, every answer must be passed to `came`."""
         return bool(self._single)
 
     def owe(self, slot: int) -> None:
-        """The answer to the SYNC of a cycle that is over has not come."""
+        """Add one missing answer to a slot at the end of a cycle."""
         owed = self._owed[slot] = self._owed.get(slot, 0) + 1
         if owed >= STRICT_FROM:
             self._single.setdefault(slot, 0)
 
     def pay(self, slot: int) -> bool:
-        """An answer of an earlier cycle has come; False when none was owed."""
+        """Remove a late answer from a slot's missing answers; return False if none is missing."""
         owed = self._owed.pop(slot, 0)
         if owed > 1:
             self._owed[slot] = owed - 1
@@ -524,26 +549,32 @@ class Debts:
         return owed > 0
 
     def forget_lost(self) -> None:
-        """Those that are owed alone were lost."""
+        """Remove the missing answers of all slots that are not strict: their frames are lost."""
         for slot in self.slots:
             if slot not in self._single:
                 del self._owed[slot]
 
     def came(self, slot: int, now_s: float) -> None:
-        """A frame has come while the answers to a SYNC were waited for."""
+        """Count a frame of a slot that was received during the wait for the answers to a SYNC."""
         number, first_s = self._came.get(slot, (0, now_s))
         self._came[slot] = number + 1, first_s
 
     def came_between(self, slot: int) -> None:
-        """A frame has come when its cycle was over: answers are late, none of them was lost."""
+        """Restart the count of a strict slot, because a frame arrived between cycles.
+
+        A frame that arrives between two cycles proves that answers of its drive are late, not lost.
+        """
         if slot in self._single:
             self._single[slot] = 0
 
     def confirm(self, soon_s: float) -> None:
-        """A cycle is over: strict slots that answered it once, and soon, may have lost the rest.
+        """Update the strict slots at the end of a cycle.
+
+        A slot that received exactly one prompt answer in each of `CONFIRMED` consecutive cycles is
+        no longer strict, and the missing answers of this slot count as lost.
 
         Args:
-            soon_s: Until when answers usually come, in the time of `came`.
+            soon_s: Latest time at which an answer counts as prompt, on the clock of `came` [s].
         """
         for slot, in_a_row in list(self._single.items()):
             number, first_s = self._came.get(slot, (0, 0.0))
@@ -555,7 +586,7 @@ class Debts:
 
 
 SILENCE_S = 0.3
-"""Device time after which a heartbeat of 100 ms is overdue [s]."""
+"""Device time after which a heartbeat with a period of 100 ms is overdue [s]."""
 
 LOOK_S = 0.01
 RX_OVERFLOW = 0x01
@@ -563,20 +594,20 @@ _BOOT_UP = 0
 
 
 class NodeWatch:
-    """Handles frames that are no process data, and overdue heartbeats.
+    """Handler of frames that are not process data; also detects overdue heartbeats.
 
     Args:
-        nodes: Of our drives.
-        tpdos: COB-IDs of their process data.
-        counts: Where malformed and foreign frames and overflows are counted.
-        notify: Gets every frame but the bus' own errors.
-        late_cycles: Cycles in a row in which the bus may have no room for our frames, or in which a
-            node may answer twice.
+        nodes: Node ids of the arm's drives.
+        tpdos: COB-IDs of the drives' process data.
+        counts: Counters for malformed frames, foreign frames and overflows.
+        notify: Callback for every frame except error frames of the bus.
+        late_cycles: Tolerated number of consecutive cycles in which the transmit queue is full, or
+            in which a node answers twice.
 
     Attributes:
-        counts: As given.
-        cycle: The present one, written by the exchange.
-        look_at: Device time at which `look` is to be called again [s].
+        counts: Counters that were passed to the constructor.
+        cycle: Number of the present cycle; the exchange sets this number.
+        look_at: Device time at which `look` must be called again [s].
     """
 
     def __init__(
@@ -601,20 +632,20 @@ class NodeWatch:
         self._masters = MasterWatch(nodes)
 
     def watch(self, on: bool) -> None:
-        """Whether overdue heartbeats and boot-ups are news, from now on."""
+        """Switch the reporting of overdue heartbeats and boot-ups as news on or off."""
         self._watching = on
         self._heard_s = [self._device_s] * len(self._heard_s)
         self._silent.clear()
 
     def take_news(self) -> News | None:
-        """Return news since the last call; None if there are none."""
+        """Return the news since the last call; None if there are no news."""
         if not self._news.any:
             return None
         news, self._news = self._news, News()
         return news
 
     def heard(self, raw: bytes) -> None:
-        """A frame that is no process data of ours as mapped."""
+        """Handle every frame except process data of the mapped length."""
         can_id, length, data = FRAME.unpack(raw)
         if can_id & ERROR:
             self._bus_error(can_id, data)
@@ -632,7 +663,7 @@ class NodeWatch:
             self._notify(can_id, data[:length], time.time())
 
     def look(self, device_s: float) -> None:
-        """Note axes whose heartbeat is overdue, at a device time [s]."""
+        """Record as news the axes whose heartbeat is overdue at a device time [s]."""
         self._device_s, self.look_at = device_s, device_s + LOOK_S
         if not self._watching:
             return
@@ -642,16 +673,16 @@ class NodeWatch:
                 self._news.silent.append(axis)
 
     def overflow(self) -> None:
-        """Count a frame of the present cycle for which there was no room."""
+        """Count a frame of the present cycle that did not fit into the transmit queue."""
         self.counts.overflows += 1
         most = self._late_cycles
         if self._overflowing.in_cycle(self.cycle) > most:
             self._news.bus_error = (
-                f"the bus had no room for our frames in more than {most} cycles in a row"
+                f"frames could not be sent on the bus in more than {most} consecutive cycles"
             )
 
     def doubled(self, axis: int) -> None:
-        """An answer of an axis came twice in the present cycle, and none was owed."""
+        """Count a second answer of an axis in one cycle, unless an earlier answer was missing."""
         self.counts.doubled += 1
         if self._doubling[axis].in_cycle(self.cycle) > self._late_cycles:
             self._tell(f"two nodes answer as node {self._nodes[axis]}")
@@ -661,7 +692,7 @@ class NodeWatch:
             self._tell(problem)
 
     def _tell(self, problem: str) -> None:
-        """The first of a cycle, while the arm is driven."""
+        """Report a problem while the arm is driven, unless a bus error is already reported."""
         if self._watching and not self._news.bus_error:
             self._news.bus_error = problem
 
@@ -677,22 +708,22 @@ class NodeWatch:
 
     def _bus_error(self, can_id: int, data: bytes) -> None:
         if can_id & ERROR_BUS_OFF:
-            self._news.bus_error = "our CAN controller has gone off the bus (bus-off)"
+            self._news.bus_error = "the CAN controller of this computer is off the bus (bus-off)"
         elif can_id & ERROR_CONTROLLER and data[1] & (TX_OVERFLOW | RX_OVERFLOW):
             self.overflow()
 
 
 @dataclass(slots=True)
 class Counts:
-    """Counts of errors on the bus; `str` has them in words, empty if there are none.
+    """Numbers of errors on the bus, by kind; `str` returns a text with all numbers above zero.
 
     Attributes:
-        missing: TPDOs that had not come when their cycle was over.
-        late: TPDOs of them that came after the next SYNC.
-        doubled: TPDOs that came twice in a cycle.
-        malformed: TPDOs of another length than mapped.
-        foreign: Frames that none of our drives sends.
-        overflows: Frames for which there was no room in a transmit or receive queue.
+        missing: Number of TPDOs that were not received before the end of their cycle.
+        late: Number of missing TPDOs that were received after the next SYNC.
+        doubled: Number of TPDOs that were received two times in one cycle.
+        malformed: Number of TPDOs whose length differs from that of the mapping.
+        foreign: Number of frames that no drive of the arm sends.
+        overflows: Number of frames that did not fit into a transmit or receive queue.
     """
 
     missing: int = 0
@@ -706,22 +737,25 @@ class Counts:
         counts = (
             ("answers (TPDOs) missing", self.missing),
             ("of them late", self.late),
-            ("doubled", self.doubled),
-            ("of another length than mapped", self.malformed),
-            ("frames of nodes that are not ours", self.foreign),
-            ("without room in a queue", self.overflows),
+            ("received twice", self.doubled),
+            ("of a wrong length", self.malformed),
+            ("frames of foreign nodes", self.foreign),
+            ("lost in full queues", self.overflows),
         )
         return ", ".join(f"{number} {what}" for what, number in counts if number)
 
 
 class InARow:
-    """Counts cycles in a row in which something happens."""
+    """Counter of the consecutive cycles in which an event occurs, such as a full transmit queue."""
 
     def __init__(self) -> None:
         self._last, self._number = -2, 0
 
     def in_cycle(self, cycle: int) -> int:
-        """It happens in a cycle, perhaps again; in how many in a row by now."""
+        """Count an event of a cycle and return the number of consecutive cycles with events.
+
+        Several events in the same cycle count as one event.
+        """
         if cycle != self._last:
             self._number = self._number + 1 if cycle == self._last + 1 else 1
             self._last = cycle
@@ -729,34 +763,38 @@ class InARow:
 
 
 LISTEN_S = 0.3
-"""Wall time for which the bus is listened to before anything is sent [s]."""
+"""Wall time during which the driver only listens on the bus, before the first frame is sent [s]."""
 
 LISTEN_INSIDE_S = 0.03
-"""The same on a bus that reaches no other process [s]."""
+"""Listening time on a bus that reaches no other process [s] (wall time)."""
 
 ALLOWED_S = 0.05
-"""Wall time for which the SYNC of a quick stop from outside may come [s]."""
+"""Wall time after a quick stop of another sender in which its SYNC is permitted [s]."""
 
 ANOTHER = "another master is on the bus"
-HINT = "end it first: another hil, a PLC, a drive maker's tool, a drive that produces SYNC (1005h)"
+HINT = (
+    "end the other master first: another hil process, a PLC, a manufacturer's tool, or a drive "
+    "that produces SYNC (1005h)"
+)
 
 
 def require_no_master(
     port: FramePort, nodes: Sequence[int], master_id: int, lasts_s: float = LISTEN_S
 ) -> None:
-    """Listen, and send nothing.
+    """Listen on the bus without sending; raise if another master is active.
 
     Args:
-        port: To the bus.
-        nodes: Of our drives.
-        master_id: Of our heartbeat.
-        lasts_s: Wall time [s].
+        port: Port of the bus.
+        nodes: Node ids of the arm's drives.
+        master_id: Node id of this master's heartbeat.
+        lasts_s: Duration of listening in wall time [s].
 
     Raises:
-        RobotConnectionError: Another master commands these drives, or uses our node id.
+        RobotConnectionError: Another master commands these drives, or uses this master's node id.
     """
     beat = HEARTBEAT_COB_ID + master_id
-    names = commanding(nodes) | {beat: f"the heartbeat of node {master_id}, our own ({beat:03X}h)"}
+    ours = f"heartbeat of this master's node id {master_id} ({beat:03X}h)"
+    names = commanding(nodes) | {beat: ours}
     heard: dict[str, int] = {}
     until_s = time.monotonic() + lasts_s
     while time.monotonic() < until_s:
@@ -764,18 +802,19 @@ def require_no_master(
         if raw is not None and (name := names.get(FRAME.unpack(raw)[0])):
             heard[name] = heard.get(name, 0) + 1
     if heard:
-        told = ", ".join(f"{number} × {name}" for name, number in heard.items())
-        raise RobotConnectionError(f"{ANOTHER}: {told} within {lasts_s:g} s", hint=HINT)
+        frames = ", ".join(f"{number} × {name}" for name, number in heard.items())
+        raise RobotConnectionError(f"{ANOTHER}: {frames} within {lasts_s:g} s", hint=HINT)
 
 
 class MasterWatch:
-    """Notices frames of another master while the arm is driven.
+    """Detector of frames from another master while the arm is driven.
 
-    A stop from outside (`stop_directly`) is quick stops and a SYNC; that is no
-    second master, and the axes themselves tell that they stop.
+    A direct stop by another process (`stop_directly`) consists of quick-stop commands and a SYNC.
+    The frames of a direct stop do not count as frames of another master: the axes report by
+    themselves that they stop.
 
     Args:
-        nodes: Of our drives.
+        nodes: Node ids of the arm's drives.
     """
 
     def __init__(self, nodes: Sequence[int]) -> None:
@@ -783,7 +822,7 @@ class MasterWatch:
         self._allowed_until_s = 0.0
 
     def heard(self, can_id: int, data: bytes) -> str:
-        """Return what is wrong with a frame of another sender; empty if nothing is."""
+        """Return why a frame of another sender is a problem; empty if it is permitted."""
         name = self._names.get(can_id)
         if name is None:
             return ""
@@ -793,11 +832,11 @@ class MasterWatch:
             return ""
         if can_id == SYNC_COB_ID and now < self._allowed_until_s:
             return ""
-        return f"{ANOTHER}: {name} was not sent by us"
+        return f"{ANOTHER}: {name} came from a different sender"
 
 
 def commanding(nodes: Sequence[int]) -> dict[int, str]:
-    """COB-ID of SYNC and of all commands to these nodes → how to call it."""
+    """Return the COB-IDs of SYNC and of all RPDOs of these nodes, each with a name for messages."""
     names = {SYNC_COB_ID: f"SYNC ({SYNC_COB_ID:03X}h)"}
     for number in range(1, len(RPDO_COB_IDS) + 1):
         for node in nodes:
@@ -809,20 +848,21 @@ def commanding(nodes: Sequence[int]) -> dict[int, str]:
 CELSIUS_PER_COUNT = 0.1
 
 _EXPEDITED, _EXPEDITED_MASK = 0x42, 0xE2
-"""First byte of an SDO answer to an upload that holds the value itself (CiA 301, 7.2.4.3.5)."""
+"""First byte of an SDO answer to an expedited upload, and its mask (CiA 301, 7.2.4.3.5)."""
 
 _ANSWER = struct.Struct("<BHBh")
 
 
 class Temperatures:
-    """Listens for one object.
+    """Collector of the motor temperatures in received SDO answers.
 
     Args:
         nodes: Node ids, in the order of the axes.
-        index: Of the object, INTEGER16 in 0.1 °C; 0 where there is none.
+        index: Index of the temperature object, an INTEGER16 in 0.1 °C; 0 if the drives have no such
+            object.
 
     Attributes:
-        celsius: (n,) as last heard [°C], NaN before.
+        celsius: (n,) motor temperatures received last [°C]; NaN before the first value.
     """
 
     def __init__(self, nodes: Sequence[int], index: int) -> None:
@@ -831,7 +871,7 @@ class Temperatures:
         self.celsius: FloatArray = np.full(len(nodes), np.nan)
 
     def heard(self, can_id: int, data: bytes) -> None:
-        """Handle a frame; only answers with that object matter."""
+        """Store the temperature from an SDO answer; ignore all other frames."""
         axis = self._axes.get(can_id)
         if axis is None or not self._index or len(data) < _ANSWER.size:
             return
@@ -841,22 +881,26 @@ class Temperatures:
 
 
 STOP_TIMES, STOP_APART_S = 3, 0.002
-"""How often quick stop is sent, and how far apart [s]: a frame may be lost, a queue full for a
-moment, and who commands at the same time is overruled."""
+"""Number of quick stops that are sent, and the time between two of them [s].
+
+The repetition helps if a frame is lost, if the transmit queue is full for a moment, or if another
+sender commands the drives at the same time.
+"""
 
 
 def stop_directly(options: Options) -> bool:
-    """Stop all axes without the process that drives them; from any thread, within milliseconds.
+    """Send a quick stop to all axes without the process that owns the bus.
 
-    A drive that has got one quick stop brakes and switches itself off (605Ah = 2); set-points that
-    another master still sends do not take it back.
+    The function can be called from any thread and returns within milliseconds. A drive that has
+    received one quick stop brakes and switches off (605Ah = 2). Set-points that another master
+    still sends do not cancel a quick stop.
 
     Args:
-        options: Of the arm: its bus and nodes, and what its process data look like.
+        options: Options of the arm: bus, node ids, mapping of the process data.
 
     Returns:
-        Whether it is on the bus, at least once as a whole. An adapter that only one program can
-        open is still taken while the process that drives the arm lives.
+        Whether all frames of at least one quick stop were sent. If only one program can open the
+        adapter, the function returns False while the process that drives the arm is running.
     """
     went = False
     try:
@@ -875,12 +919,12 @@ def stop_directly(options: Options) -> bool:
 
 
 def quick_stop_frames(options: Options) -> Iterator[bytes | memoryview]:
-    """The commands of all axes, and the SYNC with which they are applied."""
+    """Yield the quick-stop commands of all axes, then the SYNC that applies these commands."""
     n, modes = len(options.nodes), {name: code for code, name in MODE_NAMES.items()}
     outputs = Outputs.idle(n)
     outputs.controlword[:] = [QUICK_STOP] * n
     outputs.mode[:] = [modes[options.trajectory_mode]] * n
     commands = Commands(MAPPINGS[options.mapping], options.nodes)
     commands.pack(outputs)
-    yield from commands.frames[:n]  # RPDO 1 has the controlword
+    yield from commands.frames[:n]  # RPDO 1 contains the controlword
     yield pack_frame(SYNC_COB_ID, b"")

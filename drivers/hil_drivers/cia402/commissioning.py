@@ -1,19 +1,20 @@
-"""Drives checked and set up before the first cycle, and left in order after the last.
+"""Check and configure the drives before the first cycle, and restore them after the last cycle.
 
-In the order in which it happens: `inspected` reads what every drive says of itself and compares it
-with the station and the arm; nothing is written to a drive that is not the expected one.
-`configured` writes what a drive must be set to, and reads every setting back. `set_mode` and
-`declare` do by object what the process data do not carry: the mode of operation, and a payload for
-drives that have an object for it (mock drives mount it, real ones have none).
+Three steps are used in this order. First, `inspected` reads the objects of every drive and compares
+them with the station and the arm. Nothing is written to a drive before this check has passed.
+Second, `configured` writes the settings of each drive and reads every setting back. Third,
+`set_mode` and `declare` write objects that are not in the process data: the mode of operation, and
+a payload for drives that have an object for it (mock drives have one; real drives have none).
 
-Faults that a drive is in when it is connected to (`faults_left`) are reset only when they are
-errors of monitoring (8xxxh: heartbeat or SYNC lost, a following error). Those say how the drive was
-commanded, which is over. All others say something of currents, voltages, temperatures or hardware:
-a person has to see to them, and resets them by `python -m hil_drivers.cia402 reset`. The end of a
-connection is an error of monitoring of its own, so what a drive has noted since it was last reset
-counts as much as its present error.
+Connecting resets a fault that a drive already has (`faults_left`) only if the fault is a monitoring
+error (8xxxh: heartbeat or SYNC lost, a following error). A monitoring error results from commands
+of an earlier connection, which have ended. All other faults concern currents, voltages,
+temperatures or hardware: an operator must check such a fault and reset it with `python -m
+hil_drivers.cia402 reset`. For the drives, the end of a connection is also a monitoring error, which
+can hide an earlier error. Therefore connecting considers all errors that a drive has listed since
+its last reset.
 
-Nothing here knows the bus; what a bus needs set in every drive, it adds itself
+This module is independent of the type of bus; each bus adds the settings that it requires
 (`Acyclic.settings`).
 """
 
@@ -51,14 +52,14 @@ from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.profile import INT32, PROFILES, WRAP, AxisProfile, Scaling, axis_profile
 
 FOLLOWING_ERROR_MS = 20
-"""6066h: for how long a joint may lag by more than 6065h."""
+"""Time for which the following error is allowed to exceed 6065h: value of 6066h [ms]."""
 
 QUICK_STOP_RAMP, REACT_BY_QUICK_STOP = 2, 3
 
 MODES = {name: mode for mode, name in od.MODE_NAMES.items()}
 
 PROFILE_402 = 402
-"""Low word of 1000h."""
+"""Low word of the device type (1000h) of a CiA 402 drive."""
 
 ASKED = (
     od.DEVICE_TYPE, od.VENDOR, od.PRODUCT, od.REVISION, od.SERIAL,
@@ -69,20 +70,20 @@ ASKED = (
 )  # fmt: skip
 
 ASKED_TOO = {"el72xx": (od.TORQUE_SCALING, od.TORQUE_CONSTANT)}
-"""By device profile."""
+"""Objects that are read in addition to `ASKED`, by device profile."""
 
 _SAME, _SAME_GEAR = 0.005, 0.01
-"""Numbers of a station and of a drive that differ by less are the same: type plates are rounded."""
+"""Relative tolerances between values of station and drive, because type plates are rounded."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """One drive as it is.
+    """One drive with the objects read from it and its scaling.
 
     Attributes:
-        objects: What it has answered, by the names of `hil_drivers.cia402.objects`; what it does
-            not have is left out.
-        profile: Its numbers, by station, drive and device profile.
+        objects: Values read from the drive, by the names of the objects in
+            `hil_drivers.cia402.objects`. Objects that the drive does not have are omitted.
+        profile: Scaling of the drive, combined from the station, the drive and the device profile.
     """
 
     objects: Mapping[str, int]
@@ -90,7 +91,7 @@ class Drive:
 
     @property
     def limits_rad(self) -> tuple[float, float]:
-        """Joint angles between which it takes targets (607Dh) [rad]; NaN where it has no limits."""
+        """Lower and upper position limit of the drive (607Dh) [rad]; NaN if it has none."""
         low = self.objects.get("position_limit_min", 0)
         high = self.objects.get("position_limit_max", 0)
         if low == high or abs(high - low) >= WRAP - 2:
@@ -106,31 +107,32 @@ class Drive:
 
     @property
     def max_torque_nm(self) -> float:
-        """Torque limit of the drive at the joint (6072h) [N·m]; NaN if it has none."""
+        """Torque limit of the drive at the joint (6072h) [N·m]; NaN if the drive has no limit."""
         most = self.objects.get("max_torque")
         return math.nan if most is None else most * abs(self.profile.nm_per_count)
 
     @property
     def quick_stop_rad_s2(self) -> float:
-        """Deceleration of its quick stop [rad/s²], 6085h or the station's; NaN if unknown."""
+        """Quick-stop deceleration of the joint [rad/s²]: station or 6085h; NaN if unknown."""
         if self.profile.quick_stop_rad_s2:
             return self.profile.quick_stop_rad_s2
         ramp = self.objects.get("quick_stop_deceleration")
         return math.nan if ramp is None else ramp * abs(self.profile.rad_s_per_count)
 
     def quick_stop_s(self, speed_rad_s: float) -> float:
-        """Return the duration of its quick stop from a joint speed [s]; NaN if unknown."""
+        """Return the duration of a quick stop that begins at a joint speed [s]; NaN if unknown."""
         ramp = self.quick_stop_rad_s2
         return speed_rad_s / ramp if ramp else math.inf
 
 
 @dataclass(frozen=True)
 class Commissioned:
-    """The drives of an arm as they were read and set up.
+    """All drives of an arm after they were read and configured.
 
     Attributes:
-        drives: In the order of the axes.
-        lacking: Per axis, settings for which the drive has no object.
+        drives: Drives of the arm, in the order of the axes.
+        lacking: For each axis, the settings that were not written because the drive has no object
+            for them.
     """
 
     drives: tuple[Drive, ...]
@@ -138,35 +140,35 @@ class Commissioned:
 
     @cached_property
     def scaling(self) -> Scaling:
-        """Raw integers of all axes ↔ SI."""
+        """Conversion between raw integers and SI units for all axes."""
         return Scaling([drive.profile for drive in self.drives])
 
     @property
     def q_min(self) -> FloatArray:
-        """(n,) lower position limits of the drives [rad]; NaN where there is none."""
+        """(n,) lower position limits of the drives [rad]; NaN if a drive has no limits."""
         return np.array([drive.limits_rad[0] for drive in self.drives])
 
     @property
     def q_max(self) -> FloatArray:
-        """(n,) upper position limits of the drives [rad]; NaN where there is none."""
+        """(n,) upper position limits of the drives [rad]; NaN if a drive has no limits."""
         return np.array([drive.limits_rad[1] for drive in self.drives])
 
     @property
     def max_torque(self) -> FloatArray:
-        """(n,) torque limits of the drives at the joints [N·m]; NaN where a drive has none."""
+        """(n,) torque limits of the drives at the joints [N·m]; NaN if a drive has no limit."""
         return np.array([drive.max_torque_nm for drive in self.drives])
 
     @property
     def reported_limits(self) -> ReportedLimits:
-        """The limits that the drives keep to by themselves."""
+        """Position and torque limits that the drives themselves enforce."""
         return ReportedLimits(q_min=self.q_min, q_max=self.q_max, effort_max=self.max_torque)
 
     def identity(self, model: str, faults_reset: Sequence[LeftFault]) -> Identity:
-        """Return the identity of the arm: its drives (1018h), with everything read of them.
+        """Return the identity of the arm: its drives (1018h) and all objects read from the drives.
 
         Args:
-            model: Built-in arm.
-            faults_reset: Faults that were reset when connecting.
+            model: Name of the built-in arm.
+            faults_reset: Descriptions of the faults that were reset when connecting.
         """
         details = dict(self.details)
         if faults_reset:
@@ -185,7 +187,7 @@ class Commissioned:
 
     @property
     def details(self) -> Mapping[str, str]:
-        """The scaling objects as read, and the scaling that follows from them."""
+        """Scaling objects as read from the drives, and the resulting scaling, as text."""
         names = [n for n in self.drives[0].objects if n not in ("statusword", "error_code")]
         details = {name: _row([d.objects.get(name, "-") for d in self.drives]) for name in names}
         details["gear_ratio"] = _row([d.profile.gear_ratio for d in self.drives])
@@ -207,16 +209,19 @@ def _row(values: Sequence[object] | FloatArray) -> str:
 
 
 def inspected(acyclic: Acyclic, options: Options, arm: ArmDescription) -> list[Drive]:
-    """All drives as they are, in the order of the axes; they are pre-operational.
+    """Read and check all drives; return the drives in the order of the axes.
+
+    The drives must be in the NMT state pre-operational.
 
     Args:
-        acyclic: To the drives.
-        options: Of the station.
-        arm: Says what the joints are like.
+        acyclic: Access to the objects of the drives.
+        options: Options of the station.
+        arm: Description of the joints.
 
     Raises:
-        RobotConnectionError: Drives are not what the station says; one line per contradiction.
-        RobotTimeout: A drive does not answer.
+        RobotConnectionError: The drives do not match the station; the message has one line per
+            contradiction.
+        RobotTimeout: A drive does not answer a request.
     """
     wrong: list[str] = []
     drives: list[Drive] = []
@@ -226,7 +231,8 @@ def inspected(acyclic: Acyclic, options: Options, arm: ArmDescription) -> list[D
         drives += [drive] if drive else []
     if wrong:
         raise RobotConnectionError(
-            "\n".join(wrong), hint="correct the station, or the drives with their maker's tool"
+            "\n".join(wrong),
+            hint="correct the station, or the drives with the manufacturer's tool",
         )
     return drives
 
@@ -240,9 +246,7 @@ def _inspected(
         return None, wrong
     own = profile_fields(objects)
     torque_of = {**PROFILES[options.profile], **given}.get("torque_of", "")
-    wrong = [
-        f"is not as the station says: {each}" for each in contradictions(given, own, torque_of)
-    ]
+    wrong = [f"contradicts the station: {each}" for each in contradictions(given, own, torque_of)]
     profile = profile_of(options.profile, given, own, float(arm.gear_ratio[axis]))
     if isinstance(profile, str):
         return None, [*wrong, profile]
@@ -253,7 +257,7 @@ def _inspected(
 
 
 def objects_of(acyclic: Acyclic, axis: int, profile: str) -> dict[str, int]:
-    """Read the objects of a drive, by name."""
+    """Read the objects of a drive; return the values by the name of the object."""
     read = {
         entry.name: read_if_there(acyclic, axis, entry)
         for entry in ASKED + ASKED_TOO.get(profile, ())
@@ -262,7 +266,7 @@ def objects_of(acyclic: Acyclic, axis: int, profile: str) -> dict[str, int]:
 
 
 def read_if_there(acyclic: Acyclic, axis: int, entry: Entry) -> int | None:
-    """An object's value; None where the drive has no such object."""
+    """Return the value of an object; None if the drive has no such object."""
     try:
         return acyclic.upload(axis, entry)
     except Aborted as error:
@@ -272,7 +276,7 @@ def read_if_there(acyclic: Acyclic, axis: int, entry: Entry) -> int | None:
 
 
 def profile_fields(objects: Mapping[str, int]) -> dict[str, Any]:
-    """Return fields of `AxisProfile` from a drive's objects; a value of 0 was never set."""
+    """Return the fields of `AxisProfile` that a drive's objects contain; 0 counts as not set."""
     values: dict[str, Any] = {
         name: objects[name]
         for name in ("encoder_increments", "encoder_revolutions")
@@ -295,42 +299,44 @@ def profile_fields(objects: Mapping[str, int]) -> dict[str, Any]:
 
 
 def wrong_kind(objects: Mapping[str, int], modes: Mapping[int, str]) -> Iterator[str]:
-    """Why a drive cannot be driven at all.
+    """Yield why a drive is unusable: not a CiA 402 drive, or without a required mode.
 
     Args:
-        objects: Of the drive.
-        modes: Modes of operation that are needed, with their names.
+        objects: Values of the drive's objects by name.
+        modes: Required modes of operation, with their names.
     """
     kind = objects.get("device_type", 0)
     if kind & 0xFFFF != PROFILE_402:
-        yield f"is no CiA 402 drive: {od.DEVICE_TYPE} is {kind:08X}h, its low word should be 0192h"
+        yield (
+            f"is not a CiA 402 drive: {od.DEVICE_TYPE} is {kind:08X}h, its low word must be 0192h"
+        )
         return
     able = objects.get("supported_modes", 0)
     lacking = [name for mode, name in modes.items() if not able >> od.MODE_BITS[mode] & 1]
     if lacking:
-        yield f"does not know {', '.join(lacking)}: {od.SUPPORTED_MODES} is {able:08X}h"
+        yield f"does not support {', '.join(lacking)}: {od.SUPPORTED_MODES} is {able:08X}h"
 
 
 def contradictions(
-    given: Mapping[str, Any], said: Mapping[str, Any], torque_of: str
+    given: Mapping[str, Any], reported: Mapping[str, Any], torque_of: str
 ) -> Iterator[str]:
-    """Return contradictions between station and drive.
+    """Yield the contradictions between the values of the station and those of the drive.
 
-    A drive that says 1:1 of its gear was never told of one, and 6076h is not looked at where
-    torque goes by the rated current.
+    A gear ratio of 1:1 in the drive counts as not configured. The rated torque (6076h) is not
+    compared if torque is scaled by the rated current.
 
     Args:
-        given: By the station.
-        said: By the drive.
-        torque_of: See `AxisProfile`.
+        given: Fields of `AxisProfile` in the station.
+        reported: Fields of `AxisProfile` in the drive.
+        torque_of: Reference of the torque scaling; see `AxisProfile`.
     """
-    unlike = {name for name in given if name in said and not _same(given[name], said[name])}
-    if "gear_ratio" in unlike and said["gear_ratio"] == 1.0:
+    unlike = {name for name in given if name in reported and not _same(given[name], reported[name])}
+    if "gear_ratio" in unlike and reported["gear_ratio"] == 1.0:
         unlike.discard("gear_ratio")
     if torque_of == "rated-current":
         unlike.discard("rated_torque_nm")
     for name in sorted(unlike):
-        yield f"axes.{name} is {given[name]} in the station, {said[name]} in the drive"
+        yield f"axes.{name} is {given[name]} in the station, {reported[name]} in the drive"
 
 
 def _same(one: Any, other: Any) -> bool:
@@ -340,56 +346,61 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def profile_of(
-    name: str, given: Mapping[str, Any], said: Mapping[str, Any], gear_ratio: float
+    name: str, given: Mapping[str, Any], reported: Mapping[str, Any], gear_ratio: float
 ) -> AxisProfile | str:
-    """The axis' profile, or why there is none.
+    """Return the scaling of an axis, or a text why its drive is rejected.
 
     Args:
-        name: Device profile.
-        given: By the station.
-        said: By the drive.
-        gear_ratio: Of the arm as its maker describes it; the drive's has to be the same where the
-            station says nothing.
+        name: Name of the device profile.
+        given: Fields of `AxisProfile` in the station.
+        reported: Fields of `AxisProfile` in the drive.
+        gear_ratio: Gear ratio according to the arm's manufacturer; the drive must have the same
+            ratio if the station contains no gear ratio.
     """
-    if "gear_ratio" not in given and (why := _other_gear(said.get("gear_ratio", 1.0), gear_ratio)):
+    if "gear_ratio" not in given and (
+        why := _other_gear(reported.get("gear_ratio", 1.0), gear_ratio)
+    ):
         return why
     try:
-        return axis_profile(name, given, said)
+        return axis_profile(name, given, reported)
     except SpecError as error:
         return f"{error.message}; {error.hint}"
 
 
-def _other_gear(said: float, arms: float) -> str:
-    """Why a drive's gear is not taken; empty when it is that of the arm."""
-    if math.isclose(said, arms, rel_tol=_SAME_GEAR):
+def _other_gear(own: float, arms: float) -> str:
+    """Return why the gear ratio of a drive is rejected; empty if it equals that of the arm."""
+    if math.isclose(own, arms, rel_tol=_SAME_GEAR):
         return ""
-    if said == 1.0:
-        return f"says nothing of a gear (6091h), the arm has one of {arms:g}: give axes.gear_ratio"
+    if own == 1.0:
+        return (
+            f"reports no gear ratio (6091h), the gear ratio of the arm is {arms:g}: set "
+            "axes.gear_ratio in the station"
+        )
     return (
-        f"says a gear of {said:g} (6091h), the arm has one of {arms:g}: correct the drive, or "
-        f"give axes.gear_ratio in the station (here {said:g}) if the drive is right"
+        f"reports a gear ratio of {own:g} (6091h), the gear ratio of the arm is {arms:g}: correct "
+        f"the drive, or set axes.gear_ratio in the station (here {own:g}) if the drive is right"
     )
 
 
 def out_of_range(profile: AxisProfile, q_min: float, q_max: float) -> Iterator[str]:
-    """Why the joint's range cannot be counted by the drive."""
+    """Yield the reason if the position counter of the drive does not cover the joint's range."""
     ends = [(q - profile.offset_rad) / profile.rad_per_increment for q in (q_min, q_max)]
     fits = abs(ends[1] - ends[0]) < WRAP
     if not profile.position_unsigned:
         fits = INT32[0] <= min(ends) and max(ends) <= INT32[1]
     if not fits:
         yield (
-            f"cannot count from {math.degrees(q_min):.0f} to {math.degrees(q_max):.0f}°: that is "
+            f"cannot represent {math.degrees(q_min):.0f} to {math.degrees(q_max):.0f}°: these are "
             f"{min(ends):.0f} to {max(ends):.0f} increments (axes.offset_deg, position_unsigned)"
         )
 
 
 def brakes_too_slowly(drive: Drive, qd_max: float) -> Iterator[str]:
-    """Return why a drive's quick stop is too slow; empty if it is not, or if its ramp is unknown.
+    """Yield the reason if a drive's quick stop takes too long; nothing if its ramp is unknown.
 
     Args:
-        drive: As it is.
-        qd_max: Highest speed of its joint [rad/s].
+        drive: Drive after its objects were read.
+        qd_max: Maximum speed of the drive's joint [rad/s].
     """
     takes_s, ramp = drive.quick_stop_s(qd_max), drive.quick_stop_rad_s2
     if not takes_s > LONGEST_RAMP_S:
@@ -397,18 +408,18 @@ def brakes_too_slowly(drive: Drive, qd_max: float) -> Iterator[str]:
     least = math.ceil(qd_max / LONGEST_RAMP_S / abs(drive.profile.rad_s_per_count))
     raw = drive.objects.get("quick_stop_deceleration")
     yield (
-        f"brakes too slowly in a quick stop: {od.QUICK_STOP_DECELERATION} is {raw}, that is "
+        f"brakes too slowly in a quick stop: {od.QUICK_STOP_DECELERATION} is {raw}, which is "
         f"{ramp:.3g} rad/s² and takes {takes_s:.3g} s from {qd_max:.2f} rad/s; at least {least} "
-        f"({qd_max / LONGEST_RAMP_S:.3g} rad/s², {LONGEST_RAMP_S:g} s) is needed. If its unit is "
-        "another one, give axes.quick_stop_rad_s2"
+        f"({qd_max / LONGEST_RAMP_S:.3g} rad/s², {LONGEST_RAMP_S:g} s) is required. If the drive "
+        "uses a different unit, set axes.quick_stop_rad_s2"
     )
 
 
 def configured(acyclic: Acyclic, options: Options, drives: list[Drive]) -> Commissioned:
-    """Set up drives that were `inspected`, and read back every setting.
+    """Configure the drives returned by `inspected`, and read back every setting.
 
     Raises:
-        CommandRefused: A drive does not take a setting, or reads back something else.
+        CommandRefused: A drive does not accept a setting, or reads back a different value.
         RobotTimeout: A drive does not answer.
     """
     lacking = [
@@ -429,7 +440,7 @@ def _limit(options: Options) -> int:
 
 
 def settings_of(options: Options, profile: AxisProfile) -> list[Setting]:
-    """Return the settings of one drive on any bus, in the order of writing."""
+    """Return the settings of one drive that every type of bus needs, in the order of writing."""
     lag = math.radians(options.following_error_deg) / abs(profile.rad_per_increment)
     settings = [
         Setting(od.INTERPOLATION_INDEX, -3),
@@ -446,16 +457,16 @@ def settings_of(options: Options, profile: AxisProfile) -> list[Setting]:
 
 
 def set_up(acyclic: Acyclic, axis: int, settings: Sequence[Setting]) -> tuple[str, ...]:
-    """Write the settings of one drive that it does not have already, and read them back.
+    """Write the settings of one drive that differ from its values, and read back the settings.
 
     Returns:
-        Objects that it does not have and that it can do without.
+        Names of the optional settings for which the drive has no object.
     """
     return tuple(str(s.entry) for s in settings if not _settled(acyclic, axis, s))
 
 
 def _settled(acyclic: Acyclic, axis: int, setting: Setting) -> bool:
-    """Whether the drive has the object at all."""
+    """Apply one setting; return whether the drive has the object of the setting."""
     entry, value = setting.entry, setting.value
     if not setting.needed and read_if_there(acyclic, axis, entry) is None:
         return False
@@ -466,7 +477,7 @@ def _settled(acyclic: Acyclic, axis: int, setting: Setting) -> bool:
     if now != value:
         raise CommandRefused(
             f"{acyclic.name_of(axis)}: {entry} reads {now} after {value} was written",
-            hint="the drive limits or rounds it: see what its manual says of this object",
+            hint="the drive limits or rounds this value: see this object in its manual",
         )
     return True
 
@@ -479,20 +490,20 @@ LOOK_S = 0.01
 def set_mode(
     acyclic: Acyclic, axes: Sequence[int], mode: int, within_s: float = SHOWN_WITHIN_S
 ) -> None:
-    """Write 6060h of all axes, and wait until 6061h of each shows it; none is enabled.
+    """Write the mode of operation (6060h) of all axes and wait until 6061h shows it.
 
-    A drive that was left in another mode would take our positions for nothing, or its old torque
-    target for a command.
+    No axis must be enabled when the mode is written. A drive in the wrong mode would ignore the
+    position set-points, or use an old torque target as a command.
 
     Args:
-        acyclic: To the drives.
-        axes: From 0.
-        mode: Of operation.
-        within_s: How long a drive may take to show it [s].
+        acyclic: Access to the objects of the drives.
+        axes: Numbers of the axes, from 0.
+        mode: Mode of operation to be written to 6060h.
+        within_s: Longest time for a drive to show the mode [s].
 
     Raises:
-        CommandRefused: A drive does not take or show it; with axis.
-        RobotTimeout: A drive does not answer.
+        CommandRefused: A drive does not accept or show the mode; the message contains the axis.
+        RobotTimeout: A drive does not answer a request.
     """
     for axis in axes:
         acyclic.download(axis, od.MODE, mode)
@@ -503,7 +514,7 @@ def set_mode(
                 raise CommandRefused(
                     f"{acyclic.name_of(axis)}: mode {mode_text(mode)} was written to 6060h, 6061h "
                     f"shows {mode_text(shown)} after {within_s:g} s",
-                    hint="see what the drive's manual says of its modes, or use mapping: position",
+                    hint="see the modes in the drive's manual, or use mapping: position",
                 )
             time.sleep(LOOK_S)
 
@@ -512,16 +523,16 @@ NAMES = ("payload_mass", "payload_x", "payload_y", "payload_z")
 
 
 def declare(acyclic: Acyclic, index: int, payload: Payload) -> Payload:
-    """Write a load and read it back; the drive has no object for its inertia.
+    """Write mass and centre of mass of a payload to the drive; return the values read back.
 
     Args:
-        acyclic: The drives.
-        index: The object.
-        payload: The mounted load.
+        acyclic: Access to the objects of the drives.
+        index: Index of the payload object.
+        payload: Mounted payload.
 
     Raises:
-        CommandRefused: The drive does not take it.
-        RobotTimeout: It does not answer.
+        CommandRefused: The drive does not accept the payload.
+        RobotTimeout: The drive does not answer a request.
     """
     entries = [Entry(name, index, sub, "I") for sub, name in enumerate(NAMES, 1)]
     for entry, value in zip(entries, (payload.mass, *payload.com), strict=True):
@@ -531,7 +542,7 @@ def declare(acyclic: Acyclic, index: int, payload: Payload) -> Payload:
 
 
 def _bits(value: float) -> int:
-    """REAL32 as the integer that SDO carries."""
+    """Return a number as the integer by which an SDO transfers its REAL32 value."""
     return int.from_bytes(struct.pack("<f", value), "little")
 
 
@@ -545,22 +556,22 @@ MONITORING = 0x8000
 _CLASS = 0xF000
 
 MOST_ERRORS = 254
-"""1003h has no more; drives keep 8 or 16."""
+"""Maximum number of entries that are read from the error list (1003h); drives store 8 or 16."""
 
 HINT = (
-    "see to its cause, then reset it, by the drive's own tool or: "
-    "python -m hil_drivers.cia402 reset STATION ROBOT (which also empties its list of errors)"
+    "remove the cause, then reset the fault with the manufacturer's tool or with: "
+    "python -m hil_drivers.cia402 reset STATION ROBOT (which also empties the drive's error list)"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class LeftFault:
-    """A fault that a drive was in at connecting.
+    """Fault that a drive already had when it was connected.
 
     Attributes:
-        axis: From 0.
-        name: For messages.
-        codes: The present one, then older ones.
+        axis: Number of the axis, from 0.
+        name: Name of the drive in messages.
+        codes: Error codes of the drive: the present code first, then older codes.
     """
 
     axis: int
@@ -569,19 +580,19 @@ class LeftFault:
 
     @property
     def is_monitoring(self) -> bool:
-        """Whether it may be reset by connecting."""
+        """Whether the fault is a monitoring error, which is reset when the arm is connected."""
         return bool(self.codes) and all(code & _CLASS == MONITORING for code in self.codes)
 
     def __str__(self) -> str:
         newest = [error_text(code) for code in self.codes[:1]] or ["no error code"]
         older = [f"{code:04X}h" for code in dict.fromkeys(self.codes[1:])]
         return f"{self.name} is in fault: {newest[0]}" + (
-            f", before {', '.join(older)}" * bool(older)
+            f", earlier {', '.join(older)}" * bool(older)
         )
 
 
 def faults_left(acyclic: Acyclic) -> list[LeftFault]:
-    """Return the faults of all axes, with their errors; raises as SDO requests do."""
+    """Return the faults of all axes with their error codes; raise like any SDO request."""
     faulty = [axis for axis in range(acyclic.n) if _is_faulty(acyclic, axis)]
     return [LeftFault(a, acyclic.name_of(a), tuple(errors_of(acyclic, a))) for a in faulty]
 
@@ -591,7 +602,7 @@ def _is_faulty(acyclic: Acyclic, axis: int) -> bool:
 
 
 def errors_of(acyclic: Acyclic, axis: int) -> list[int]:
-    """Codes of a drive's errors: the present one (603Fh), then the newest of its list (1003h)."""
+    """Return the error codes of a drive: present error (603Fh), then its error list (1003h)."""
     now = read_if_there(acyclic, axis, od.ERROR_CODE) or 0
     count = min(read_if_there(acyclic, axis, od.ERROR_COUNT) or 0, MOST_ERRORS)
     listed = [
@@ -602,58 +613,61 @@ def errors_of(acyclic: Acyclic, axis: int) -> list[int]:
 
 
 def require_resettable(faults: list[LeftFault]) -> None:
-    """Raise if a fault is one of the hardware.
+    """Raise if one of the faults is not a monitoring error.
 
     Raises:
-        RobotFault: With all of them.
+        RobotFault: A fault is not a monitoring error; the message contains all such faults.
     """
     if grave := [str(fault) for fault in faults if not fault.is_monitoring]:
         raise RobotFault("; ".join(grave), hint=HINT)
 
 
 def reset(acyclic: Acyclic, fault: LeftFault) -> bool:
-    """Reset a fault that a person has seen to, by SDO; whether it is gone.
+    """Reset the fault of a drive by SDO; return whether the drive left the fault state.
 
-    Its list of errors (1003h) is emptied then: what comes is judged without what was seen.
+    An operator must have checked the cause of the fault. The error list (1003h) of the drive is
+    cleared, so that later checks ignore the errors that the operator has handled.
 
     Raises:
-        CommandRefused, RobotTimeout: The drive does not take it.
+        CommandRefused: The drive does not accept the reset.
+        RobotTimeout: The drive does not answer a request.
     """
-    for controlword in (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE):  # the rising edge counts
+    for controlword in (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE):  # reset needs a rising edge
         acyclic.download(fault.axis, od.CONTROLWORD, controlword)
     if _is_faulty(acyclic, fault.axis):
         return False
-    with contextlib.suppress(Aborted):  # not all drives have a list, or let it be emptied
+    with contextlib.suppress(Aborted):  # some drives have no list, or cannot clear it
         acyclic.download(fault.axis, od.ERROR_COUNT, 0)
     return True
 
 
 WITHIN_S = 0.1
-"""How long the answers of all drives together are waited for [s]."""
+"""Longest wait for the answers of all drives together [s]."""
 
 
 def stop_by_objects(acyclic: Acyclic) -> None:
-    """Quick stop by SDO, for drives that process data do not reach; does not wait, never raises.
+    """Send a quick stop to all axes by SDO, without waiting; never raise.
 
-    A drive that has started anew or was taken out of operation has no RPDOs; it answers SDO.
+    A drive that has restarted or left the operational state has no RPDOs, but it answers SDO
+    requests.
     """
     acyclic.download_each(od.CONTROLWORD, QUICK_STOP, range(acyclic.n))
 
 
 def part(acyclic: Acyclic) -> None:
-    """Leave drives that were driven: `unwatch` them, stop the others; never raises."""
+    """Stop all powered drives and call `unwatch` for all other drives; never raise."""
     acyclic.download_each(od.CONTROLWORD, QUICK_STOP, unwatch(acyclic))
 
 
 def unwatch(acyclic: Acyclic) -> list[int]:
-    """Have drives that carry no current not mind when we leave; never raises.
+    """End the monitoring of this master in all drives that carry no current; never raise.
 
-    Else they would be in fault for that (on CAN 8130h), and an error that an operator has to see
-    would not be the present one any more. Drives that may still move have to notice that we are
-    gone.
+    If a drive monitored the master, the end of the connection would be a new fault of this drive
+    (on CAN 8130h) and replace an error that an operator must check. Drives that can still move
+    continue to monitor the master, because these drives must stop if the master disappears.
 
     Returns:
-        Axes that are not known to carry no current.
+        Numbers of the axes that possibly carry current.
     """
     words = acyclic.upload_each(od.STATUSWORD, range(acyclic.n), WITHIN_S)
     off = [axis for axis, word in words.items() if state_of(word) not in POWERED]

@@ -1,13 +1,15 @@
-"""The cycles: a thread that owns the bus, and what other threads ask of it.
+"""Cyclic exchange in a thread that owns the bus, and the commands of other threads to it.
 
-One cycle is `Core._cycle`: wait for its time, exchange process data, have the supervisor judge the
-answers, have the player write the next set-points, keep a record of it all. It allocates little and
-locks almost nothing; garbage is collected at times of our choosing.
+`Core._cycle` executes one cycle in five steps: wait until the cycle is due, exchange process data,
+check the answers (supervisor), write the next set-points (player), and store a record. A cycle
+allocates little memory and uses almost no locks. Garbage is collected only when the cycle thread
+starts the collection.
 
-Other threads command by `enable`, `start`, `stop` and so on. They never touch the bus: what they
-want is put into a queue and done by the thread between two cycles (`_obey`), or is a flag that it
-reads. They take the records in blocks from a `Ring`, of which the thread only ever writes one end.
-When anything fails in the thread, the drives get a last quick stop and every later call raises why.
+Other threads give commands by `enable`, `start`, `stop` and similar methods. The command methods
+never access the bus: each method queues an action that the cycle thread executes between two cycles
+(`_obey`), or sets a flag that the cycle thread reads. Other threads take the records in blocks from
+a `Ring`, into which only the cycle thread writes. If an exception occurs in the cycle thread, the
+drives get a final quick stop, and every later call raises the cause.
 """
 
 from __future__ import annotations
@@ -46,14 +48,17 @@ POLL_S = 0.002
 FIRST_ANSWER_S = 2.0
 
 ENABLED_WITHIN_S, CHANGED_WITHIN_S = 10.0, 5.0
-"""How long enabling may take; other changes of state or mode [s]."""
+"""Longest time for enabling all axes, and for any other change of state or mode [s]."""
 
 SETTLE_S, MEAN_S = 0.2, 0.1
-"""Device time before torques are measured, and over which their mean is taken [s]."""
+"""Device time of the wait before torques are measured, and of their averaging [s]."""
 
 END_S = 3.0
-"""Device time for all axes to brake and be off: longer than it takes until those that do not are
-taken the voltage from (`braking`) [s]."""
+"""Device time that all axes get for braking and switching off [s].
+
+`END_S` is longer than the time after which the voltage of axes that do not brake is disabled
+(`braking`).
+"""
 
 JOIN_S = 1.5
 LAST_CYCLES = 3
@@ -61,16 +66,19 @@ REST_RAD_S = 0.02
 REST_OVER_S = 0.05
 
 REST_WITHIN_S = 2.0
-"""An arm is at rest when no joint has moved faster, on average over that time."""
+"""Longest wait for the arm to come to rest [s].
+
+The arm is at rest if the speed of no joint, averaged over `REST_OVER_S`, exceeds `REST_RAD_S`.
+"""
 
 KEPT_S = 60.0
-"""Device time of records that may wait to be taken [s]."""
+"""Capacity of the record queue in device time [s]."""
 
 STOP_RAD_S2 = 8.0
 FREE_BATCH = 16
 
 BATCH_S = 0.016
-"""Wall time of records that are handed over together, so that one wake-up serves several [s]."""
+"""Wall time of the records that are delivered together with one wake-up of the reader [s]."""
 
 PUMP_S = 0.02
 CLEAN_UP_S = 5.0
@@ -78,29 +86,32 @@ LAST_WORDS_S = 0.002
 
 
 class Core:
-    """The cyclic exchange of all axes, in a thread of its own.
+    """Cyclic exchange of all axes, in a separate thread.
 
-    Until `run`, and after `rest`, it only takes what comes (`Cyclic.pump`), so that requests of
-    other threads are answered; between them cycles go on, enabled or not.
+    Before `run` and after `rest`, the thread only receives frames (`Cyclic.pump`), so that requests
+    of other threads are answered. Between `run` and `rest`, the thread executes cycles, whether or
+    not the axes are enabled.
 
     Args:
-        cyclic: The drives.
-        supervisor, player: Write to `outputs`.
-        outputs: Commands to the drives.
-        schedule: When cycles begin.
-        mapping: Of every axis.
+        cyclic: Process data exchange with the drives.
+        supervisor: Supervisor of the axes; writes controlwords and modes to `outputs`.
+        player: Player of motions; writes set-points to `outputs`.
+        outputs: Object with the commands to the drives, written by supervisor and player.
+        schedule: Start times of the cycles.
+        mapping: PDO mapping of every axis.
         period_s: Device time of a cycle [s].
-        wall_period_s: Wall time of a cycle; 0 when cycles have no deadlines [s].
-        kept_s: Device time of records that may wait to be taken [s].
-        late_cycles: Periods without a SYNC after which a motion is not gone on with.
-        stop_rad_s2: How it is ended then.
-        celsius: (n,) [°C], written by who hears the drives tell it; goes into every record.
+        wall_period_s: Wall time of a cycle [s]; 0 if cycles have no deadlines.
+        kept_s: Capacity of the record queue in device time [s].
+        late_cycles: Number of periods without a SYNC after which a motion is stopped.
+        stop_rad_s2: Deceleration of the stop after missing SYNCs [rad/s²].
+        celsius: (n,) motor temperatures [°C], written by the receiver of the drives' answers and
+            copied into every record; None if the drives report no temperatures.
 
     Attributes:
-        temperature: The same; all NaN without it.
-        not_permitted: What the kernel refused of what real time needs, in words.
-        ring: The records.
-        schedule: When cycles began.
+        temperature: (n,) motor temperatures [°C]; all NaN if `celsius` is None.
+        not_permitted: Real-time settings that the kernel refused, as text.
+        ring: Queue of the cycle records.
+        schedule: Start times of the cycles.
     """
 
     def __init__(
@@ -123,7 +134,7 @@ class Core:
         self._cyclic, self._supervisor, self._player = cyclic, supervisor, player
         self._outputs, self.schedule = outputs, schedule
         self._period_s, self._free = period_s, wall_period_s <= 0.0
-        self._slower = wall_period_s / period_s  # than the time of the drives
+        self._slower = wall_period_s / period_s  # ratio of wall time to device time
         batch = FREE_BATCH if self._free else max(1, math.ceil(BATCH_S / wall_period_s))
         self.temperature: FloatArray = np.full(n, np.nan) if celsius is None else celsius
         self.ring = Ring(mapping, self.temperature, max(64, round(kept_s / period_s)), batch)
@@ -131,7 +142,7 @@ class Core:
         self._stalls = Stalls(period_s, late_cycles, real=wall_period_s == period_s)
         self._stop_rad_s2, self._stalled, self._tell_at = stop_rad_s2, "", 0
         self._inputs = Inputs.none_yet(n)
-        self._asked: deque[Callable[[], None]] = deque()
+        self._requests: deque[Callable[[], None]] = deque()
         self._cycling = self._ending = False
         self._clean_up_at = 0
         self._problem = ""
@@ -140,22 +151,22 @@ class Core:
 
     @property
     def phase(self) -> Phase:
-        """Where the axes are."""
+        """Present phase of all axes, as in `Supervisor.phase`."""
         return self._supervisor.phase
 
     def open(self) -> None:
-        """Start the thread, which pumps. Idempotent."""
+        """Start the thread, which only receives frames until `run` is called. Idempotent."""
         if self._thread is None:
             self._ending = False
             self._thread = threading.Thread(target=self._run, name="cia402 cycles", daemon=True)
             self._thread.start()
 
     def run(self) -> None:
-        """Begin with cycles; the drives are operational. Returns after the first answers.
+        """Start the cycles and wait for the first answers; the drives must be operational.
 
         Raises:
-            RobotTimeout: A drive does not answer.
-            RobotConnectionError: The bus is gone.
+            RobotTimeout: A drive does not answer in the first cycles.
+            RobotConnectionError: The connection to the bus is lost.
         """
         self._require_bus()
         first = self._cyclic.cycle
@@ -169,7 +180,10 @@ class Core:
         self._do(lambda: self._cyclic.watch(True))
 
     def rest(self) -> None:
-        """End the cycles, all axes off, and pump again; an arm that still moves is braked."""
+        """Switch all axes off and end the cycles, after braking an arm that still moves.
+
+        After `rest` the thread only receives frames, as before `run`.
+        """
         if self._player.moving:
             self.quick_stop()
         else:
@@ -180,12 +194,12 @@ class Core:
         self._cycling = False
 
     def enable(self, mode: int) -> None:
-        """Enable all axes in a mode, all targets preloaded; blocks.
+        """Enable all axes in a mode, with preloaded targets; block until all axes are enabled.
 
         Raises:
-            RobotTimeout: An axis takes too long; with axis and state.
-            RobotFault: An axis is in fault, or becomes so.
-            CommandRefused: `stop` came meanwhile, or they are enabled.
+            RobotTimeout: An axis is not enabled in time; the message contains axis and state.
+            RobotFault: An axis is in the fault state, or a fault occurs.
+            CommandRefused: `stop` was called during enabling, or the axes are already enabled.
         """
         self._require_bus()
         if self.phase is not Phase.OFF:
@@ -195,7 +209,7 @@ class Core:
         self._wait_for(Phase.ENABLED, ENABLED_WITHIN_S, "the axes are not enabled")
 
     def switch(self, mode: int) -> None:
-        """Switch the mode of the enabled axes at rest; blocks, raises as `enable`."""
+        """Switch the mode of enabled axes at rest and wait for the change; raise like `enable`."""
         self._require_bus()
         if self.phase is not Phase.ENABLED:
             raise CommandRefused(f"the mode cannot be switched: the axes are {self.phase.value}")
@@ -204,7 +218,7 @@ class Core:
         self._wait_for(Phase.ENABLED, CHANGED_WITHIN_S, "the mode is not switched")
 
     def reset_faults(self) -> None:
-        """Reset faults, on request only; blocks, raises as `enable`."""
+        """Reset the faults of all axes and wait for the change; raise like `enable`."""
         self._require_bus()
         if self.phase is not Phase.OFF:
             raise CommandRefused(f"faults cannot be reset: the axes are {self.phase.value}")
@@ -213,35 +227,35 @@ class Core:
         self._wait_for(Phase.OFF, CHANGED_WITHIN_S, "the faults are not reset")
 
     def disable(self) -> None:
-        """Switch all axes off, at rest; blocks, raises as `enable`."""
+        """Switch all axes off at rest and wait for the change; raise like `enable`."""
         if self._is_cycling and self.phase is not Phase.OFF:
             self._do(self._supervisor.disable)
             self._wait_for(Phase.OFF, CHANGED_WITHIN_S, "the axes are not off")
 
     def prepare(self, track: Track) -> None:
-        """Keep the next motion. Raises `CommandRefused`."""
+        """Store the next motion for `start`. Raises `CommandRefused`."""
         self._player.load(track)
 
     def start(self) -> None:
-        """Begin the prepared motion with the next cycle. Raises `CommandRefused`."""
+        """Start the prepared motion with the next cycle. Raises `CommandRefused`."""
         self._require_bus()
         self._player.start()
 
     def stop(self, deceleration_rad_s2: float) -> None:
-        """Brake on the way with the next cycle, or leave off enabling; never raises or blocks."""
+        """Brake along the path from the next cycle on, or cancel enabling; never raise or block."""
         self._player.stop(deceleration_rad_s2)
         if self.phase in (Phase.MODE, Phase.ENABLING, Phase.RESETTING):
-            self._asked.append(self._supervisor.quick_stop)
+            self._requests.append(self._supervisor.quick_stop)
 
     def quick_stop(self, why: str = "") -> None:
-        """Controlword quick stop to all axes with the next cycle; never raises or blocks."""
-        self._asked.append(lambda: self._supervisor.quick_stop(why))
+        """Send the quick-stop controlword to all axes with the next cycle; never raise or block."""
+        self._requests.append(lambda: self._supervisor.quick_stop(why))
 
     def mean_torque(self) -> list[float]:
-        """Return measured torques, raw, per axis, of an arm that holds; blocks.
+        """Measure the mean torque of each axis of a holding arm, as raw value; block meanwhile.
 
         Raises:
-            RobotConnectionError: The bus is gone.
+            RobotConnectionError: The connection to the bus is lost.
         """
         begin = self._cyclic.cycle + round(SETTLE_S / self._period_s)
         end, seen = begin + max(1, round(MEAN_S / self._period_s)), dict[int, list[int]]()
@@ -263,22 +277,26 @@ class Core:
         return problem
 
     def take(self, timeout_s: float) -> StructArray:
-        """All cycle records (`rows.cycle_dtype`) since the last call, in order, at least one.
+        """Return the cycle records since the last call (`rows.cycle_dtype`), at least one record.
+
+        The returned records are in the order of the cycles.
 
         Raises:
-            RobotTimeout: None came in time.
-            RobotConnectionError: The bus is gone, and what came before that is taken.
+            RobotTimeout: No record became available within the timeout.
+            RobotConnectionError: The connection to the bus is lost, and all earlier records were
+                already returned.
         """
         block = self.ring.take(0.0 if self._gone else timeout_s)
         if len(block):
             return block
         self._require_bus()
         raise RobotTimeout(
-            f"no cycle was over within {timeout_s:g} s", hint="look for a busy machine"
+            f"no cycle ended within {timeout_s:g} s",
+            hint="check whether the computer is overloaded",
         )
 
     def close(self) -> None:
-        """End the thread; axes that are on are braked before. Idempotent."""
+        """Brake and switch off the axes that are on, then end the thread. Idempotent."""
         thread = self._thread
         if thread is None:
             return
@@ -295,14 +313,14 @@ class Core:
         return self._cycling and self._gone is None
 
     def _do(self, action: Callable[[], None]) -> None:
-        """Have the thread do it, and wait until it has."""
+        """Execute an action in the cycle thread and wait until it is done."""
         done = threading.Event()
 
         def act() -> None:
             action()
             done.set()
 
-        self._asked.append(act)
+        self._requests.append(act)
         while not done.wait(0.05):
             self._require_bus()
 
@@ -313,12 +331,12 @@ class Core:
             return
         if problem := self.take_problem():
             kind = RobotTimeout if self._supervisor.overdue else RobotFault
-            raise kind(problem, hint="see to that drive, then connect again")
+            raise kind(problem, hint="check this drive, then connect again")
         if self.phase in (Phase.OFF, Phase.BRAKING):
-            raise CommandRefused(f"{else_text}: they were stopped meanwhile")
+            raise CommandRefused(f"{else_text}: the axes were stopped meanwhile")
         raise RobotTimeout(
             f"{else_text} after {within_s:g} s: still {self.phase.value}",
-            hint="see the drives: hil doctor --station FILE, and their displays",
+            hint="check the drives with `hil doctor --station FILE` and at their displays",
         )
 
     def _is_on_the_way_to(self, phase: Phase) -> bool:
@@ -332,11 +350,11 @@ class Core:
             time.sleep(POLL_S)
 
     def _await_off(self) -> None:
-        """Wait until all axes are off, as long as that may take by the time of the drives."""
+        """Wait until all axes are off, for at most `END_S` of device time."""
         self._let_pass(
             lambda: self._is_cycling and self.phase is not Phase.OFF, END_S * max(1.0, self._slower)
         )
-        # The last command goes out with the next cycle and is applied in the one after it.
+        # The last command is sent with the next cycle and applied one cycle later.
         over = self._cyclic.cycle + LAST_CYCLES
         self._let_pass(lambda: self._is_cycling and self._cyclic.cycle < over, JOIN_S)
 
@@ -347,20 +365,20 @@ class Core:
             raise RobotConnectionError("the bus is not open", hint="connect first")
 
     def _require_rest(self) -> None:
-        """Raises `CommandRefused` when the arm is commanded to move, or does not come to rest."""
+        """Raise `CommandRefused` if a motion is commanded or the arm does not come to rest."""
         if self._player.moving:
             raise CommandRefused("the mode cannot be switched: the arm moves", hint="stop it first")
         until = self._cyclic.cycle + REST_WITHIN_S / self._period_s
         while (speed := self._speed())[0] > REST_RAD_S:
             if self._cyclic.cycle > until:
                 raise CommandRefused(
-                    f"the mode cannot be switched: axis {speed[1] + 1} does not come to rest, it "
-                    f"moves at {speed[0]:.3f} rad/s",
-                    hint="see to what moves it",
+                    f"the mode cannot be switched: axis {speed[1] + 1} does not come to a "
+                    f"standstill, it moves at {speed[0]:.3f} rad/s",
+                    hint="find out what moves the axis",
                 )
 
     def _speed(self) -> tuple[float, int]:
-        """Of the fastest joint [rad/s], over `REST_OVER_S`, and its axis."""
+        """Return speed [rad/s] and number of the fastest joint, averaged over `REST_OVER_S`."""
         before, since = self._inputs.position.copy(), self._cyclic.cycle
         cycles = math.ceil(REST_OVER_S / self._period_s)
         self._let_pass(lambda: self._cyclic.cycle < since + cycles, FIRST_ANSWER_S)
@@ -372,7 +390,8 @@ class Core:
         silent = [str(axis + 1) for axis, came in enumerate(self._inputs.fresh) if not came]
         return RobotTimeout(
             f"no process data from axis {', '.join(silent) or 'any'} within {FIRST_ANSWER_S:g} s",
-            hint="are the drives operational, is SYNC enabled (1005h), are their PDOs mapped?",
+            hint="check that the drives are operational, that SYNC is enabled (1005h) and that "
+            "their PDOs are mapped",
         )
 
     # -- the thread that owns the bus
@@ -387,19 +406,19 @@ class Core:
                     self._obey()
         except RobotConnectionError as error:
             self._fail(error)
-        except Exception as error:  # else it would end in this thread, unseen
+        except Exception as error:  # else the error ends the thread without a message
             self._last_words()
             self._fail(
                 RobotConnectionError(
                     f"the cyclic exchange failed: {error!r}",
-                    hint="see whether the bus is up and the drives are on",
+                    hint="check that the bus is up and the drives are on",
                 )
             )
 
     def _run_cycles(self) -> None:
         self.schedule.restart()
         self._stalls.restart()
-        # Without deadlines nothing is late, and a thread that never sleeps must not hold up others.
+        # Without deadlines no cycle is late; a real-time thread that never sleeps blocks others.
         punctual: contextlib.AbstractContextManager[list[str]] = realtime()
         if self._free:
             punctual = contextlib.nullcontext([])
@@ -410,7 +429,7 @@ class Core:
 
     def _cycle(self) -> None:
         late = self.schedule.wait(self._cyclic.idle)
-        if self._asked:
+        if self._requests:
             self._obey()
         outputs, supervisor, player = self._outputs, self._supervisor, self._player
         announced = outputs.segment, outputs.status
@@ -435,7 +454,7 @@ class Core:
         if self.schedule.cycles >= self._clean_up_at:
             self._clean_up()
 
-    def _keep(self, told: tuple[int, int], flags: int) -> None:
+    def _keep(self, announced: tuple[int, int], flags: int) -> None:
         ring = self.ring
         if ring.full:
             self._make_room()
@@ -445,17 +464,18 @@ class Core:
             self.schedule.answered(complete)
         if not complete:
             flags |= sum(1 << axis for axis, came in enumerate(fresh) if not came)
-        ring.put(self._cyclic, told, self._supervisor.fault_code, flags)
+        ring.put(self._cyclic, announced, self._supervisor.fault_code, flags)
 
     def _make_room(self) -> None:
-        """Records of an arm at rest may go; those of a motion that are not taken end it."""
+        """Drop old records of an arm at rest; stop a motion whose records are not read in time."""
         if self._free:
             self.ring.wait_for_room(time.monotonic() + 1.0)
         if not self.ring.full:
             return
         if self._player.moving:
             self._supervisor.quick_stop(
-                "the cycles' records were not taken: hil is held up (busy machine, slow disk)"
+                "the records of the cycles were not read in time: hil is delayed (busy computer, "
+                "slow disk)"
             )
         self.ring.forget(max(1, round(1.0 / self._period_s)))
 
@@ -467,29 +487,29 @@ class Core:
             self._tell(problem)
 
     def _catch_up(self) -> None:
-        """A SYNC was late: a motion does not go on at full speed after a long gap."""
+        """Stop a motion along its path after a long gap between two SYNCs."""
         if self._stalls.too_long and self._player.moving and not self._stalled:
             self._player.stop(self._stop_rad_s2)
             self._stalled = self._stalls.text
             self._tell_at = self._cyclic.cycle + round(TOLD_AFTER_S / self._period_s)
 
     def _tell(self, problem: str) -> None:
-        """Have it taken, with the stall that may have been its cause."""
+        """Store a problem for `take_problem`, with the gap between SYNCs that can be its cause."""
         self._problem = "; ".join(filter(None, (self._stalled, problem)))
         self._stalled = ""
         self.ring.wake()
 
     def _clean_up(self) -> None:
-        """Collect young garbage now and then: the collector is off while cycles go on."""
+        """Collect young garbage periodically, because automatic collection is off in the cycles."""
         self._clean_up_at = self.schedule.cycles + round(CLEAN_UP_S / self._period_s)
         gc.collect(0)
 
     def _obey(self) -> None:
-        while self._asked:
-            self._asked.popleft()()
+        while self._requests:
+            self._requests.popleft()()
 
     def _last_words(self) -> None:
-        """Quick stop to all, twice: the second SYNC applies the first's commands."""
+        """Send a quick stop to all axes twice, because the second SYNC applies the commands."""
         with contextlib.suppress(Exception):
             self._supervisor.quick_stop()
             for _ in range(2):
@@ -502,16 +522,16 @@ class Core:
 
 
 class Ring:
-    """A bounded queue of records (`rows.cycle_dtype`).
+    """Queue of cycle records (`rows.cycle_dtype`) with a fixed capacity.
 
     Args:
-        mapping: Of every axis.
-        temperature: (n,) [°C] of all axes; the present ones go into a record.
-        capacity: Records that may wait.
-        batch: So many are waited for before the thread that takes is woken.
+        mapping: PDO mapping of every axis.
+        temperature: (n,) motor temperatures [°C]; the present values are copied into each record.
+        capacity: Maximum number of waiting records.
+        batch: Number of waiting records at which the thread in `take` is woken.
 
     Attributes:
-        forgotten: Records dropped because they were not taken.
+        forgotten: Number of records that were dropped because no thread had taken them.
     """
 
     def __init__(
@@ -529,25 +549,25 @@ class Ring:
 
     @property
     def full(self) -> bool:
-        """Whether the next record has no room."""
+        """Whether the queue has no space for another record."""
         return self._written - self._taken >= self._capacity
 
     def begin(self) -> None:
-        """Begin the record of a cycle with the temperatures known by now.
+        """Begin the record of a cycle with the temperatures known at the start of the cycle.
 
-        Not what is known when it ends: a log of the bus tells what came before a SYNC, but not
-        when we were done with the answers to it.
+        The record does not contain temperatures that are received during the cycle: a log of the
+        bus shows which frames precede a SYNC, but not when the answers to the SYNC were processed.
         """
         self._celsius = self._temperature.tobytes()
 
-    def put(self, cyclic: Cyclic, told: tuple[int, int], fault_code: int, flags: int) -> None:
-        """Write the record of the last exchange; the ring must have room.
+    def put(self, cyclic: Cyclic, announced: tuple[int, int], fault_code: int, flags: int) -> None:
+        """Write the record of the last exchange into the ring, which must have space.
 
         Args:
-            cyclic: Has exchanged.
-            told: Segment and status that were announced with it.
-            fault_code: See `rows.cycle_dtype`.
-            flags: Likewise.
+            cyclic: Process data after the exchange.
+            announced: Segment and status announced in this cycle.
+            fault_code: EMCY code of the first faulty axis; 0 without a fault.
+            flags: Flags of the cycle: `INCOMPLETE`, `STALLED`, `LATE` of `rows`.
         """
         self._packing.pack_into(
             self._memory,
@@ -555,31 +575,34 @@ class Ring:
             cyclic.cycle,
             cyclic.sync_time,
             self._celsius,
-            *told,
+            *announced,
             fault_code,
             flags,
             cyclic.sent.tobytes(),
             cyclic.answered.tobytes(),
         )
-        self._written += 1  # from here on it is seen
+        self._written += 1  # the record is visible to readers from here on
         if self._asleep and self._written - self._taken >= self._batch:
             self.wake()
 
     def forget(self, count: int) -> None:
-        """Drop the oldest records."""
+        """Drop a number of the oldest records."""
         with self._moving:
             count = min(count, self._written - self._taken)
             self._taken += count
             self.forgotten += count
 
     def wake(self) -> None:
-        """Let the thread that waits in `take` return the records so far."""
+        """Wake the thread in `take`, which then returns the records stored so far."""
         self._asleep = False
-        with contextlib.suppress(RuntimeError):  # it rings already
+        with contextlib.suppress(RuntimeError):  # already released
             self._bell.release()
 
     def take(self, timeout_s: float) -> StructArray:
-        """All that wait, in order; none when none came in time. One thread at a time."""
+        """Return all waiting records in the order of the cycles; no records after a timeout.
+
+        Only one thread may call this method.
+        """
         if self._written == self._taken:
             self._bell.acquire(blocking=False)
             self._asleep = True
@@ -589,11 +612,11 @@ class Ring:
         with self._moving:
             stop = self._written
             block = self._copy(self._taken, stop)
-            self._taken = stop  # not before: a full ring is written to again from here on
+            self._taken = stop  # last, because the freed space is overwritten from here on
         return block
 
     def wait_for_room(self, until_s: float) -> None:
-        """Until there is room for a quarter of all, or that `time.monotonic`."""
+        """Wait until a quarter of the queue is free, or until a time of `time.monotonic` [s]."""
         while self._written - self._taken > 0.75 * self._capacity and time.monotonic() < until_s:
             time.sleep(0.002)
 
@@ -608,7 +631,7 @@ _CODES = {"<i8": "q", "<f8": "d", "<i4": "i"}
 
 
 def _packing(row: np.dtype[Any]) -> struct.Struct:
-    """Packs a whole record at once; arrays in it as bytes."""
+    """Return the `struct` layout that packs a whole record at once, with arrays as bytes."""
     fields = [row[name] for name in row.names or ()]
     codes = [f"{field.itemsize}s" if field.shape else _CODES[field.str] for field in fields]
     return struct.Struct("<" + "".join(codes))

@@ -1,7 +1,8 @@
-"""Position control by the master: what it commands in CSV and CST.
+"""Position control by the master in the modes CSV and CST.
 
-In CSP the drives close the position loop and get positions. In the other modes `velocities` and
-`torques` compare what an axis shows now with the set-point that it should show by now.
+In the mode CSP the drives receive positions and close the position loop themselves. In CSV and CST,
+`velocities` and `torques` compare the present position of an axis with the set-point due at the
+same time.
 """
 
 from __future__ import annotations
@@ -19,15 +20,16 @@ from hil_drivers.cia402.profile import INT16, INT32, wrapped
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """Position control by the master, per axis.
+    """Gains of the master's position control, per axis.
 
-    In CST torque = feed-forward + kp·e + kd·ė, in CSV velocity = the motion's + kv·e.
+    In CST the torque is the feed-forward torque + kp·e + kd·ė, with the position error e. In CSV
+    the velocity is the velocity of the motion + kv·e.
 
     Attributes:
-        kp: ‰ of rated torque per increment of position.
-        kd: ‰ of rated torque per count of velocity.
-        limit: Largest torque commanded [‰].
-        kv: Counts of velocity per increment of position.
+        kp: Torque per position error [‰ of rated torque per increment].
+        kd: Torque per velocity error [‰ of rated torque per count of velocity].
+        limit: Limit of the commanded torque [‰ of rated torque].
+        kv: Velocity per position error [counts of velocity per increment].
     """
 
     kp: tuple[float, ...]
@@ -37,28 +39,33 @@ class Gains:
 
 
 LOOP_RAD_S = 2.0 * math.pi * 4.0
-"""Natural frequency of a joint that is led by torque [rad/s].
+"""Natural frequency of the position loop of a joint in CST [rad/s].
 
-What is commanded now acts two cycles later: at 250 Hz about 10 ms with the hold of the last one. A
-loop of 4 Hz, critically damped, then keeps a phase margin of some 45°; harder ones ring."""
+A command acts two cycles later. At 250 Hz the delay is about 10 ms, including the hold of the last
+command. With a delay of 10 ms, a critically damped loop of 4 Hz has a phase margin of about 45°;
+stiffer loops oscillate.
+"""
 
 INERTIA_SHARE = 0.1
-"""Smallest inertia assumed of a joint, rotor included, as a share of effort_max / qdd_max.
-A heavier joint gets a softer loop, which rings a little; a lighter one would be unstable."""
+"""Minimum assumed joint inertia, including the rotor, as a share of effort_max / qdd_max.
+
+A joint with a larger inertia gets a softer loop, which oscillates a little; a joint with a smaller
+inertia would be unstable.
+"""
 
 KV_PER_S = 8.0
-"""In CSV, velocity per error of position [1/s]."""
+"""Gain of the position control in CSV: velocity per position error [1/s]."""
 
 
 def gains_of(
     given: Sequence[Mapping[str, Any]], drives: Sequence[Drive], arm: ArmDescription
 ) -> Gains:
-    """The gains of all axes.
+    """Return the gains of the position control of all axes.
 
     Args:
-        given: What the station says of each axis: `stiffness_nm_rad`, `damping_nms_rad`.
-        drives: Say what their numbers mean, and to what torque they limit themselves.
-        arm: Says what the joints are like.
+        given: Values that the station sets for each axis: `stiffness_nm_rad`, `damping_nms_rad`.
+        drives: Drives with the scaling and the torque limit of each axis.
+        arm: Description of the joints, from which default gains and torque limits are computed.
     """
     kp, kd, limit, kv = [], [], [], []
     for axis, drive in enumerate(drives):
@@ -76,7 +83,10 @@ def gains_of(
 def _spring_and_damper(
     given: Mapping[str, Any], arm: ArmDescription, axis: int
 ) -> tuple[float, float]:
-    """Return spring [N·m/rad] and damper [N·m·s/rad]; a given spring determines the damper."""
+    """Return stiffness [N·m/rad] and damping [N·m·s/rad] of an axis.
+
+    If the station contains only the stiffness, the damping is that of a critically damped loop.
+    """
     inertia = INERTIA_SHARE * float(arm.effort_max[axis] / arm.qdd_max[axis])
     stiffness = float(given.get("stiffness_nm_rad", inertia * LOOP_RAD_S**2))
     damping = float(given.get("damping_nms_rad", 2.0 * math.sqrt(stiffness * inertia)))
@@ -86,7 +96,7 @@ def _spring_and_damper(
 def velocities(
     gains: Gains, velocity: Sequence[int], due: Sequence[int], inputs: Inputs
 ) -> list[int]:
-    """Return velocities in CSV: the motion's, corrected towards the positions due by now."""
+    """Return the CSV target velocities: velocity of the motion plus position correction."""
     return [
         within(ahead + round(kv * wrapped(wanted - is_at)), INT32[1])
         for ahead, kv, wanted, is_at in zip(velocity, gains.kv, due, inputs.position, strict=True)
@@ -100,7 +110,7 @@ def torques(
     velocity: Sequence[int],
     inputs: Inputs,
 ) -> list[int]:
-    """Return torques in CST: feed-forward, with spring and damper to the set-point due by now."""
+    """Return the CST target torques: feed-forward torque plus position and velocity correction."""
     return [
         within(
             round(
@@ -115,6 +125,6 @@ def torques(
 
 
 def within(value: int, limit: float) -> int:
-    """Return a value, or the limit with its sign if it is larger."""
+    """Return a value that is limited to ±`limit`."""
     most = int(limit)
     return most if value > most else -most if value < -most else value

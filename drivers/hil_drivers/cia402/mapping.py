@@ -1,8 +1,9 @@
-"""Process data: which objects are in which PDO.
+"""Process data mappings, which determine the objects in each PDO.
 
-A mapping has the objects that all axes get and answer in every cycle. On CAN a PDO is one frame of
-up to eight bytes per axis, hence the layouts below; a bus with room for more carries the same PDOs
-in one datagram. Their COB-IDs on CAN are in `can_channel`.
+A mapping lists the objects that all axes receive and send in every cycle. On CAN each PDO of an
+axis is one frame of up to eight bytes; the layouts in this module are made for this size. On a bus
+with larger frames, one datagram can contain all PDOs. The COB-IDs of the PDOs on CAN are defined in
+`can_channel`.
 """
 
 from __future__ import annotations
@@ -19,17 +20,20 @@ from hil_drivers.cia402 import objects as od
 MOST_BYTES = 8
 
 LATENCY = 2
-"""Cycles from sending a set-point to the answer in which it is reached: drives apply at a SYNC what
-was sent in the cycle before, and are there one period later (60C2h)."""
+"""Number of cycles from sending a set-point to the answer that shows the set-point reached.
+
+At a SYNC, drives apply the set-point of the cycle before, and reach this set-point one period later
+(60C2h).
+"""
 
 
 @dataclass(frozen=True)
 class Pdo:
-    """One process data object.
+    """Process data object (PDO): list of the objects in one frame.
 
     Attributes:
-        number: From 1.
-        entries: Its objects, in order; at most eight bytes.
+        number: Number of the PDO, from 1.
+        entries: Objects of the PDO in the order of transmission; at most eight bytes in total.
     """
 
     number: int
@@ -37,17 +41,17 @@ class Pdo:
 
     @cached_property
     def packing(self) -> struct.Struct:
-        """Packs the values of all entries."""
+        """`struct` layout that packs the values of all entries."""
         return struct.Struct("<" + "".join(entry.code for entry in self.entries))
 
     @property
     def length(self) -> int:
-        """Bytes of data."""
+        """Number of data bytes of the PDO."""
         return self.packing.size
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """The same as a packed record of eight bytes, for views of raw data."""
+        """NumPy dtype of eight bytes with the same entries, for views of raw data."""
         offsets, at = [], 0
         for entry in self.entries:
             offsets.append(at)
@@ -64,12 +68,12 @@ class Pdo:
 
 @dataclass(frozen=True)
 class Mapping:
-    """All PDOs of one axis; every axis has the same.
+    """PDOs of one axis; the PDOs of all axes have the same content.
 
     Attributes:
-        name: As in the station file.
-        rpdos: To the drive, applied at the next SYNC.
-        tpdos: From the drive, sampled at the SYNC.
+        name: Name of the mapping in the station file.
+        rpdos: PDOs to the drive, applied at the next SYNC.
+        tpdos: PDOs from the drive, sampled at the SYNC.
     """
 
     name: str
@@ -78,17 +82,17 @@ class Mapping:
 
     @property
     def pdos(self) -> tuple[Pdo, ...]:
-        """To and from the drive."""
+        """PDOs of both directions: to the drive and from the drive."""
         return self.rpdos + self.tpdos
 
     @cached_property
     def entries(self) -> tuple[od.Entry, ...]:
-        """All objects that travel, in the order in which they do."""
+        """Objects of all PDOs, in the order of transmission."""
         return tuple(entry for pdo in self.pdos for entry in pdo.entries)
 
     @property
     def carries_mode(self) -> bool:
-        """Whether 6060h and 6061h travel with every cycle."""
+        """Whether every cycle contains the mode objects 6060h and 6061h."""
         return {od.MODE, od.MODE_DISPLAY} <= set(self.entries)
 
 
@@ -101,20 +105,23 @@ _STATE = (
 _COMMAND = Pdo(1, (od.CONTROLWORD, od.MODE, od.TARGET_POSITION))
 
 POSITION = Mapping("position", (_COMMAND,), _STATE)
-"""CSP alone: 19 frames a cycle with six axes, 49 to 59 % of 1 Mbit/s at 250 Hz."""
+"""Mapping for CSP: 19 frames per cycle with six axes, 49 to 59 % of 1 Mbit/s at 250 Hz."""
 
 ALL_MODES = Mapping(
     "all-modes",
     (_COMMAND, Pdo(2, (od.TARGET_VELOCITY, od.TARGET_TORQUE, od.TORQUE_OFFSET))),
     _STATE,
 )
-"""CSP with torque feed-forward, CSV, CST, and switching between them: 25 frames, 65 to 79 %."""
+"""Mapping for CSP with torque feed-forward, CSV, CST, and switching between these modes.
+
+With this mapping a cycle of six axes has 25 frames, which are 65 to 79 % of 1 Mbit/s at 250 Hz.
+"""
 
 MINIMAL = Mapping(
     "minimal",
     (Pdo(1, (od.CONTROLWORD, od.TARGET_POSITION)),),
     (Pdo(1, (od.STATUSWORD, od.POSITION)),),
 )
-"""Position only: 500 Hz fit into 1 Mbit/s; neither velocity nor effort is measured."""
+"""Mapping without velocity and effort, for cycle rates of up to 500 Hz at 1 Mbit/s."""
 
 MAPPINGS = {mapping.name: mapping for mapping in (POSITION, ALL_MODES, MINIMAL)}

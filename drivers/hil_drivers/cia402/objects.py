@@ -1,8 +1,9 @@
-"""The object dictionary of CiA 301 and CiA 402, as far as the driver uses it.
+"""Objects of CiA 301 and CiA 402 that the driver uses, with their error and abort codes.
 
-First the objects (docs/reference/cia402-objects.md), then what the numbers in them mean: error
-codes (EMCY messages, 603Fh, 1003h), the error register (1001h), and the codes with which a drive
-aborts a request. The same objects, types and codes travel over CAN (SDO) and EtherCAT (CoE).
+The module contains the objects (docs/reference/cia402-objects.md). The module also contains the
+meanings of the error codes (EMCY messages, 603Fh, 1003h), of the error register (1001h), and of the
+codes with which a drive aborts a request. CANopen (SDO) and EtherCAT (CoE) use the same objects,
+data types and codes.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ from hil.core import CommandRefused
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One variable of the object dictionary.
+    """One variable of a drive's object dictionary.
 
     Attributes:
-        name: Ours, also the field of raw records.
-        index, sub: Where it is.
-        code: `struct` code of its type: b B h H i I.
-        unit: In words; increments and parts per thousand are the drive's own.
+        name: Name of the object in this driver, which is also its field name in raw records.
+        index: Index of the object.
+        sub: Sub-index of the object.
+        code: `struct` code of the data type: b, B, h, H, i or I.
+        unit: Unit as text; the drive defines the size of an increment and of a part per thousand.
     """
 
     name: str
@@ -32,17 +34,17 @@ class Entry:
 
     @property
     def size(self) -> int:
-        """Size of its value in bytes."""
+        """Size of the object's value in bytes."""
         return struct.calcsize("<" + self.code)
 
     @property
     def bits(self) -> int:
-        """Length in a PDO."""
+        """Length of the object's value in a PDO [bits]."""
         return 8 * self.size
 
     @property
     def mapped(self) -> int:
-        """Its entry in 16xxh and 1Axxh: index, sub-index, length in bits."""
+        """Mapping parameter of the object for 16xxh and 1Axxh: index, sub-index, length in bits."""
         return self.index << 16 | self.sub << 8 | self.bits
 
     def __str__(self) -> str:
@@ -100,7 +102,7 @@ CSP, CSV, CST = 8, 9, 10
 """Modes of operation (6060h) that take a new set-point with every SYNC."""
 
 MODE_BITS = {CSP: 7, CSV: 8, CST: 9}
-"""Their bits in 6502h."""
+"""Bit number of each mode of operation in the object of supported modes (6502h)."""
 
 MODE_NAMES = {CSP: "csp", CSV: "csv", CST: "cst"}
 
@@ -123,8 +125,8 @@ ERRORS = {
     0x3220: "DC link under-voltage",
     0x3230: "load error",
     0x3310: "output over-voltage",
-    0x4110: "surroundings too hot",
-    0x4120: "surroundings too cold",
+    0x4110: "ambient temperature too high",
+    0x4120: "ambient temperature too low",
     0x4210: "device too hot",
     0x4220: "device too cold",
     0x4310: "drive or motor too hot",
@@ -148,7 +150,7 @@ ERRORS = {
     0x7306: "encoder 2",
     0x7310: "overspeed",
     0x7320: "position sensor",
-    0x7500: "communication with a part inside",
+    0x7500: "communication with an internal unit",
     0x8110: "CAN frames lost (overrun)",
     0x8120: "CAN controller error passive",
     0x8130: "heartbeat of the master lost",
@@ -175,7 +177,7 @@ ERRORS = {
     0xF003: "stroke operation",
     0xF004: "control",
 }
-"""By code."""
+"""Error texts of single error codes."""
 
 ERROR_RANGES = (
     (0xFFF0, 0x2310, "over-current at the output"),
@@ -216,7 +218,7 @@ ERROR_RANGES = (
     (0xF000, 0x9000, "external error"),
     (0xF000, 0xF000, "additional functions"),
 )
-"""Mask, what is left of a code under it, text."""
+"""Error texts of ranges of error codes: mask, value of the masked code, text."""
 
 REGISTER = (
     "generic",
@@ -228,11 +230,11 @@ REGISTER = (
     "reserved",
     "vendor's own",
 )
-"""Bits of 1001h, from bit 0."""
+"""Names of the bits of the error register (1001h), from bit 0."""
 
 
 def error_text(code: int) -> str:
-    """An error code in words, with its number as manuals write it."""
+    """Return the text of an error code, with its number in the notation of manuals."""
     return f"{_error_words(code)} ({code:04X}h)"
 
 
@@ -245,7 +247,7 @@ def _error_words(code: int) -> str:
 
 
 def register_text(register: int) -> str:
-    """The bits of 1001h in words; empty when none is set."""
+    """Return the set bits of the error register (1001h) as text; empty if no bit is set."""
     return ", ".join(text for bit, text in enumerate(REGISTER) if register >> bit & 1)
 
 
@@ -254,10 +256,10 @@ READ_ONLY, UNSUPPORTED_ACCESS = 0x0601_0002, 0x0601_0000
 NOT_MAPPABLE, MAPPING_TOO_LONG, INCOMPATIBLE = 0x0604_0041, 0x0604_0042, 0x0604_0043
 
 NOT_THERE = frozenset({NO_OBJECT, NO_SUB_INDEX})
-"""The drive has no such object."""
+"""Abort codes for a request for an object that the drive does not have."""
 
 NOT_TO_WRITE = frozenset({UNSUPPORTED_ACCESS, READ_ONLY})
-"""The object is as it is."""
+"""Abort codes for a write of an object that cannot be written."""
 
 ABORTS = {
     0x0503_0000: "toggle bit has not alternated",
@@ -267,13 +269,13 @@ ABORTS = {
     0x0504_0003: "wrong sequence number",
     0x0504_0004: "wrong check sum",
     0x0504_0005: "out of memory",
-    UNSUPPORTED_ACCESS: "no such access to this object",
+    UNSUPPORTED_ACCESS: "unsupported access to this object",
     0x0601_0001: "write-only",
     READ_ONLY: "read-only",
     NO_OBJECT: "no such object",
     NOT_MAPPABLE: "cannot be mapped into a PDO",
-    MAPPING_TOO_LONG: "the PDO would get longer than eight bytes, or have too many entries",
-    INCOMPATIBLE: "parameters that do not go together",
+    MAPPING_TOO_LONG: "the PDO would exceed eight bytes or have too many entries",
+    INCOMPATIBLE: "incompatible parameters",
     0x0604_0047: "incompatible inside the device",
     0x0606_0000: "hardware error",
     0x0607_0010: "wrong length",
@@ -295,15 +297,15 @@ ABORTS = {
 
 
 class Aborted(CommandRefused):
-    """A drive has aborted an SDO transfer.
+    """Error raised when a drive has aborted an SDO transfer.
 
     Args:
-        message: Which drive, which object.
+        message: Text with the drive and the object of the transfer.
         code: Abort code.
         hint: See `HilError`.
 
     Attributes:
-        code: The same.
+        code: Abort code.
     """
 
     def __init__(self, message: str, code: int, *, hint: str = "") -> None:
@@ -312,6 +314,6 @@ class Aborted(CommandRefused):
 
 
 def abort_text(code: int) -> str:
-    """An abort code in words, with its number as manuals write it."""
+    """Return the text of an abort code, with its number in the notation of manuals."""
     number = f"abort {code >> 16:04X} {code & 0xFFFF:04X}h"
     return f"{ABORTS[code]} ({number})" if code in ABORTS else number

@@ -1,9 +1,10 @@
-"""What a station file may say about an arm on CiA 402 drives, beside its name and model.
+"""Options of an arm on CiA 402 drives in a station file, apart from name and model of the arm.
 
-`options_of` turns the station's mapping into `Options`; the error for an option that cannot be says
-what would be right. It also refuses what does not go together: a mapping without what a mode needs,
-a rate for which the bus has no room. The option `bus` is described in `can_channel`, the keys of
-`axes` become fields of `profile.AxisProfile` (angles here in degrees).
+`options_of` converts the station's mapping into `Options`; the error for an invalid option contains
+the valid values. `options_of` also rejects invalid combinations, such as a mapping without the
+objects that a mode needs, or a rate that exceeds the capacity of the bus. The option `bus` is
+described in `can_channel`. The keys of `axes` become fields of `profile.AxisProfile` (angles are in
+degrees in the station).
 """
 
 from __future__ import annotations
@@ -24,39 +25,50 @@ from hil_drivers.option_checks import OptionChecks, Range
 MASTER_ID = 127
 
 LATE_CYCLES, LATE_CYCLES_SIMULATED = 3, 50
-"""Default of `late_cycles`: drives on a wire fault soon after a few missing
-set-points; drives on a busy computer are not dead when they have not answered for 0.2 s."""
+"""Defaults of `late_cycles` for real and for simulated drives.
+
+Real drives enter fault after a few missing set-points. Simulated drives on a busy computer are
+tolerated if they do not answer for 0.2 s.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The options of one arm.
+    """Options of one arm.
 
     Attributes:
-        bus: Where the drives are.
-        nodes: Their CANopen ids, in the order of the joints.
-        rate_hz: SYNC, set-points and samples per second of device time.
-        mapping: A key of `hil_drivers.cia402.mapping.MAPPINGS`.
-        master_id: Node id of our own heartbeat and marker.
-        trajectory_mode: Mode in which prepared motions are played.
-        feed_forward: Send the torque model's torque as 60B2h in CSP.
-        effort: What the base record's `effort` is: torque [N·m] or motor current [A].
-        pace: Cycles per period of wall time: 1 is real time, 0 as fast as the drives answer.
-        stop_rad_s2: Deceleration of `stop`, by the fastest joint [rad/s²].
-        profile: A key of `hil_drivers.cia402.profile.PROFILES`.
-        axes: Per axis, what the station says of the fields of `AxisProfile`.
-        eds: Per axis, path of the drive's EDS file; empty without.
-        urdf: Path of the torque model; the arm's own when empty.
-        following_error_deg: 6065h: how far a joint may lag before its drive faults [deg].
-        tracking_deg: How far a joint that we lead ourselves (csv, cst) may be from its set-point
-            before all axes are stopped [deg]; in csp it is twice `following_error_deg`.
-        torque_limit_percent: 6072h: of the rated torque; the drive's own when None.
-        payload_object: Vendor object of node 1 where a payload is declared; none when 0.
-        temperature_object: Vendor object of every node: its motor's temperature, INTEGER16 in
-            0.1 °C; none when 0.
-        candump: File to which all frames are logged, with a number where there is one; none when
-            empty.
-        late_cycles: Cycles that an axis may miss, or we may be late, before all axes stop.
+        bus: CAN bus of the drives.
+        nodes: CANopen ids of the drives, in the order of the joints.
+        rate_hz: Rate of the cycles in device time [Hz]: every cycle has a SYNC, a set-point and a
+            sample.
+        mapping: Name of the PDO mapping, a key of `hil_drivers.cia402.mapping.MAPPINGS`.
+        master_id: Node id of the master's heartbeat and marker.
+        trajectory_mode: Mode of operation for prepared motions.
+        feed_forward: Whether torques of the torque model are sent as 60B2h in CSP.
+        effort: Quantity in the field `effort` of the base record: torque [N·m] or motor current
+            [A].
+        pace: Ratio of device time to wall time; 1 is real time, 0 starts each cycle as soon as all
+            drives have answered.
+        stop_rad_s2: Deceleration of the fastest joint during a stop by `stop` [rad/s²].
+        profile: Name of the device profile, a key of `hil_drivers.cia402.profile.PROFILES`.
+        axes: For each axis, the fields of `AxisProfile` that the station sets.
+        eds: Paths of the drives' EDS files, one per axis; empty for no EDS files.
+        urdf: Path of the URDF from which the torque model is built; empty for the model of the
+            built-in arm.
+        following_error_deg: Following error at which a drive enters fault (6065h) [deg].
+        tracking_deg: Deviation of a joint from its set-point at which all axes are stopped in csv
+            and cst, the modes with position control by the master [deg]; in csp the limit is twice
+            `following_error_deg`.
+        torque_limit_percent: Torque limit (6072h) [% of the rated torque]; None to keep the value
+            of the drive.
+        payload_object: Index of the manufacturer-specific object for the payload in the drive of
+            the first axis; 0 if there is no such object.
+        temperature_object: Index of the manufacturer-specific object for the motor temperature in
+            every drive, an INTEGER16 in 0.1 °C; 0 if there is no such object.
+        candump: Path of the log file of all frames; empty for no log. If the file exists, a number
+            is added to its name.
+        late_cycles: Number of cycles in which an axis need not answer, or by which the master can
+            be late, before all axes stop.
     """
 
     bus: CanChannel
@@ -83,32 +95,32 @@ class Options:
 
     @property
     def free(self) -> bool:
-        """Whether the next cycle begins as soon as all drives have answered."""
+        """Whether each cycle begins as soon as all drives have answered in the cycle before."""
         return self.pace == 0.0
 
     @property
     def period_s(self) -> float:
-        """Device time of one cycle [s]."""
+        """Duration of one cycle in device time [s]."""
         return 1.0 / self.rate_hz
 
     @property
     def period_us(self) -> int:
-        """Device time of one cycle [µs], as 1006h has it."""
+        """Duration of one cycle in device time [µs], which is the unit of 1006h."""
         return round(1e6 / self.rate_hz)
 
     @property
     def wall_period_s(self) -> float:
-        """Wall time from SYNC to SYNC [s]; 0 when free."""
+        """Wall time from SYNC to SYNC [s]; 0 if `free`."""
         return 0.0 if self.free else self.period_s / self.pace
 
     @property
     def resource(self) -> str:
-        """Which bus this is: it has room for one master, whatever nodes it drives."""
+        """Identifier of the bus, which can have only one master for all nodes."""
         return f"can://{self.bus.interface}/{self.bus.channel}"
 
     @property
     def address(self) -> Address:
-        """See `hil.robot.HasAddress`."""
+        """Address of the bus; see `hil.robot.HasAddress`."""
         nodes = ", ".join(map(str, self.nodes))
         return Address(f"{self.bus} (nodes {nodes})", real=self.bus.real)
 
@@ -121,7 +133,7 @@ RANGES: dict[str, Range] = {
     "tracking_deg": (0.1, 60.0),
     "torque_limit_percent": (1.0, 1000.0),
 }
-"""Least and most of the options that are numbers."""
+"""Minimum and maximum value of each option that is a number."""
 
 WHOLE: dict[str, Range] = {
     "master_id": (1, 127),
@@ -129,7 +141,7 @@ WHOLE: dict[str, Range] = {
     "temperature_object": (0x2000, 0x5FFF),
     "late_cycles": (1, 100),
 }
-"""The same of those that are whole numbers; 2000h to 5FFFh are the vendors' own objects."""
+"""Minimum and maximum value of each integer option; 2000h to 5FFFh are manufacturer objects."""
 
 CHOICES = {
     "mapping": tuple(MAPPINGS),
@@ -140,62 +152,63 @@ CHOICES = {
 
 
 def options_of(given: Mapping[str, Any], model: str) -> Options:
-    """Return the options of a station's mapping for a built-in arm; None counts as absent.
+    """Return the options of an arm from the keys in a station file; None counts as absent.
 
     Raises:
-        SpecError: One is missing, unknown, or cannot be; or the bus has no room for it.
+        SpecError: An option is missing, unknown or invalid, or the cycles exceed the capacity of
+            the bus.
     """
     _MUST.require_known(given, [each.name for each in fields(Options)])
     arm = load_arm(model)
     n = arm.n_joints
     present = {name: value for name, value in given.items() if value is not None}
-    taken = _one_by_one(present)
+    checked = _one_by_one(present)
     bus = bus_of(present.get("bus"))
     options = Options(
         **{
-            **taken,
+            **checked,
             "bus": bus,
             "nodes": _nodes(
-                present.get("nodes", list(range(1, n + 1))), n, taken.get("master_id", MASTER_ID)
+                present.get("nodes", list(range(1, n + 1))), n, checked.get("master_id", MASTER_ID)
             ),
             "rate_hz": 1000.0 / _period_ms(present.get("rate_hz", arm.rate_hz)),
             "pace": _pace(present.get("pace", 1), bus),
-            "late_cycles": taken.get(
+            "late_cycles": checked.get(
                 "late_cycles", LATE_CYCLES_SIMULATED if bus.interface in SIMULATED else LATE_CYCLES
             ),
-            "mapping": taken.get("mapping") or _allowed(taken)[0],
+            "mapping": checked.get("mapping") or _allowed(checked)[0],
             "axes": axes_of(present.get("axes", {}), arm),
             "eds": tuple(_MUST.file("eds", each) for each in _listed("eds", present, n)),
         }
     )
-    _require_mapping(options, taken)
+    _require_mapping(options, checked)
     _require_stop(options.stop_rad_s2, float(arm.qdd_max.min()))
-    require_room(options.mapping, n, options.rate_hz, bus.bitrate, _allowed(taken))
+    require_room(options.mapping, n, options.rate_hz, bus.bitrate, _allowed(checked))
     return options
 
 
-def _one_by_one(told: Mapping[str, Any]) -> dict[str, Any]:
-    """Options that stand for themselves."""
-    taken: dict[str, Any] = {}
-    for name, value in told.items():
+def _one_by_one(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Check and return the options that do not depend on other options."""
+    checked: dict[str, Any] = {}
+    for name, value in settings.items():
         if name in RANGES:
-            taken[name] = _MUST.number(name, value, RANGES[name])
+            checked[name] = _MUST.number(name, value, RANGES[name])
         elif name in WHOLE:
-            taken[name] = _MUST.number(name, value, WHOLE[name], whole=True)
+            checked[name] = _MUST.number(name, value, WHOLE[name], whole=True)
         elif name in CHOICES:
-            taken[name] = _MUST.choice(name, value, CHOICES[name])
+            checked[name] = _MUST.choice(name, value, CHOICES[name])
         elif take := _TAKEN.get(name):
-            taken[name] = take(name, value)
-    return taken
+            checked[name] = take(name, value)
+    return checked
 
 
 def _log_file(name: str, value: Any) -> str:
-    """The whole path of a file that can be made."""
+    """Return the absolute path of a file, after checking that the file can be created."""
     path = Path(_MUST.text(name, value)).expanduser().absolute()
     if not path.parent.is_dir():
-        raise _MUST.wrong_option(name, value, f"there is no folder {path.parent}; make it first")
+        raise _MUST.wrong_option(name, value, f"create the folder {path.parent} first")
     if path.is_dir():
-        raise _MUST.wrong_option(name, value, "this is a folder; give a file in it")
+        raise _MUST.wrong_option(name, value, "this is a folder; use a file in it")
     return str(path)
 
 
@@ -207,23 +220,25 @@ _TAKEN: dict[str, Callable[[str, Any], Any]] = {
 
 
 def _nodes(value: Any, n: int, master_id: int) -> tuple[int, ...]:
-    """The drives' node ids in the order of the joints."""
+    """Return the node ids of the drives in the order of the joints."""
     if not isinstance(value, list | tuple) or len(value) != n:
         raise _MUST.wrong_option(
             "nodes", value, f"list the node ids of the {n} joints, as in {list(range(1, n + 1))}"
         )
     ids = tuple(int(_MUST.number("nodes", each, (1, 126), whole=True)) for each in value)
     if len(set(ids)) < n:
-        raise _MUST.wrong_option("nodes", list(ids), "every drive has a node id of its own")
+        raise _MUST.wrong_option("nodes", list(ids), "use a different node id for every drive")
     if master_id in ids:
         raise _MUST.wrong_option(
-            "nodes", list(ids), f"{master_id} is master_id, whose heartbeat the drives watch"
+            "nodes",
+            list(ids),
+            f"use other node ids: {master_id} is master_id, whose heartbeat the drives monitor",
         )
     return ids
 
 
 def _period_ms(value: Any) -> int:
-    """Return whole milliseconds from SYNC to SYNC: every drive's 60C2h has those."""
+    """Return the period from SYNC to SYNC in whole milliseconds, as required by 60C2h."""
     rate = _MUST.number("rate_hz", value, (4.0, 1000.0))
     period = round(1000.0 / rate)
     if not math.isclose(1000.0 / rate, period, rel_tol=1e-3):
@@ -237,7 +252,7 @@ def _period_ms(value: Any) -> int:
 
 
 def _pace(value: Any, bus: CanChannel) -> float:
-    """0 when free."""
+    """Return the ratio of device time to wall time as a number, 0 for the option value `free`."""
     if value == "free":
         pace = 0.0
     elif isinstance(value, str):
@@ -248,25 +263,27 @@ def _pace(value: Any, bus: CanChannel) -> float:
         raise _MUST.wrong_option(
             "pace",
             value,
-            f"the drives on {bus.interface} live in real time; only on "
-            f"{' and '.join(SIMULATED)} there may be others",
+            f"use 1: the drives on {bus.interface} run in real time; other values are possible "
+            f"on {' and '.join(SIMULATED)} only",
         )
     return pace
 
 
-def _allowed(taken: Mapping[str, Any]) -> list[str]:
-    """Return the mappings that have the needed objects, best first."""
-    if taken.get("feed_forward") or taken.get("trajectory_mode", "csp") != "csp":
+def _allowed(checked: Mapping[str, Any]) -> list[str]:
+    """Return the names of the mappings with all required objects, the best mapping first."""
+    if checked.get("feed_forward") or checked.get("trajectory_mode", "csp") != "csp":
         return ["all-modes"]
     return ["position", "minimal", "all-modes"]
 
 
-def _require_mapping(options: Options, taken: Mapping[str, Any]) -> None:
+def _require_mapping(options: Options, checked: Mapping[str, Any]) -> None:
     if options.feed_forward and options.trajectory_mode != "csp":
         raise _MUST.wrong_option(
-            "feed_forward", True, f"60B2h adds to csp; {options.trajectory_mode} needs none of it"
+            "feed_forward",
+            True,
+            f"use false: the torque offset (60B2h) is for csp, not for {options.trajectory_mode}",
         )
-    allowed = _allowed(taken)
+    allowed = _allowed(checked)
     if options.mapping not in allowed:
         need = (
             "feed_forward" if options.feed_forward else f"trajectory_mode {options.trajectory_mode}"
@@ -275,15 +292,15 @@ def _require_mapping(options: Options, taken: Mapping[str, Any]) -> None:
 
 
 def _require_stop(stop_rad_s2: float, most: float) -> None:
-    """Any joint may be the fastest one, which brakes at that rate."""
+    """Raise if the stop deceleration exceeds the maximum acceleration of any joint."""
     if stop_rad_s2 > most:
         raise _MUST.wrong_option(
-            "stop_rad_s2", stop_rad_s2, f"the arm's joints may brake at {most:.4g} rad/s² at most"
+            "stop_rad_s2", stop_rad_s2, f"use at most {most:.4g} rad/s², the limit of the joints"
         )
 
 
-def _listed(name: str, told: Mapping[str, Any], n: int) -> Sequence[Any]:
-    return _MUST.per_axis(name, told[name], n) if told.get(name) else ()
+def _listed(name: str, settings: Mapping[str, Any], n: int) -> Sequence[Any]:
+    return _MUST.per_axis(name, settings[name], n) if settings.get(name) else ()
 
 
 AXIS_RANGES: dict[str, Range] = {
@@ -314,14 +331,15 @@ AXIS_KEYS = (*AXIS_WHOLE, *AXIS_RANGES, *AXIS_CHOICES, "position_unsigned")
 
 
 def axes_of(value: Any, arm: ArmDescription) -> tuple[Mapping[str, Any], ...]:
-    """Return the station's values of each axis, by the names of `AxisProfile`.
+    """Return for each axis the values of the station, by the field names of `AxisProfile`.
 
     Args:
-        value: The option `axes`: per key one value for all axes, or one for each.
-        arm: Says where the middle of each joint's range is.
+        value: Value of the option `axes`: for each key, one value for all axes or a list with one
+            value per axis.
+        arm: Description of the arm, from which the middle of each joint's range is computed.
 
     Raises:
-        SpecError: A key is unknown, or a value cannot be.
+        SpecError: A key is unknown, or a value is invalid.
     """
     given = _MUST.mapping_of("axes", value)
     _MUST.require_known(given, AXIS_KEYS, "axes")

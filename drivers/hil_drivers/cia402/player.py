@@ -1,13 +1,14 @@
-"""A motion streamed to the drives: the `Player` plays a `Track` row by row.
+"""Player that streams a motion to the drives: one row of a `Track` per cycle.
 
-Everything a cycle needs is computed before the motion begins (`track`). In the cycle the player
-takes the next row, brakes on the rest of the way when it is stopped, and holds where the motion
-ended. A stop slows time down along the path, so all joints stay on it. The dynamic part of the
-feed-forward torque falls with the square of the pace, the gravity torque stays; the torque of the
-deceleration itself is left to the position loop.
+All values that a cycle needs are computed before the motion begins (`track`). In each cycle the
+player sends the next row. After a stop the player brakes along the remaining path, and at the end
+of the motion the player holds the last position. A stop slows the progress along the path down, so
+that all joints stay on the path. During a stop, the dynamic part of the feed-forward torque
+decreases with the square of the pace, whereas the gravity torque does not change. The position loop
+provides the torque for the deceleration.
 
-In CSP the drives get positions, with a torque offset if wanted. In CSV and CST the master closes
-the position loop (`gains`) with set-points that are `BEHIND` cycles old.
+In the mode CSP the drives receive positions, optionally with a torque offset. In CSV and CST the
+master closes the position loop (`gains`) with set-points that are `BEHIND` cycles old.
 """
 
 from __future__ import annotations
@@ -26,28 +27,30 @@ from hil_drivers.cia402.profile import INT16, wrapped
 from hil_drivers.cia402.track import BEGINS_WITHIN_RAD, Track
 
 BEHIND = LATENCY + 1
-"""Cycles from `step` to the answer that shows its set-point: one until it is sent, then `LATENCY`.
-"""
+"""Number of cycles from `step` to the answer that shows the set-point: 1 + `LATENCY`."""
 
 LONGEST_STOP_S = 5.0
-"""Longest stop [s]; an arm that would need longer brakes harder."""
+"""Longest duration of a stop [s]; a higher deceleration is used if a stop would take longer."""
 MOVING, HOLDING = int(Status.MOVING), int(Status.HOLDING)
 
 
 class Player:
-    """The commanded motion of all axes; one `step` a cycle, by the cyclic thread.
+    """Commanded motion of all axes; the cyclic thread calls `step` once a cycle.
 
     Args:
         period_s: Device time of a cycle [s].
-        rad_per_increment: Per axis, of position; its sign does not matter.
-        feed_forward: Send the track's torque as 60B2h in CSP.
-        gains: For CST and CSV.
+        rad_per_increment: Position scale per axis [rad per increment]; its sign has no effect.
+        feed_forward: Whether the torques of the track are sent as 60B2h in CSP.
+        gains: Gains of the position control in CST and CSV.
 
     Attributes:
-        segment, status: Of the row commanded last: the plan's step and `Status` bits.
-        position, velocity, torque: The same row, raw.
-        scale: Per axis, radians per increment, above 0.
-        mode: CSP, CSV or CST; 0 while the drives are not enabled.
+        segment: Number of the plan's step to which the last commanded row belongs.
+        status: `Status` bits of the last commanded row.
+        position: Positions of the last commanded row as raw values, one per axis.
+        velocity: Velocities of the last commanded row as raw values, one per axis.
+        torque: Torques of the last commanded row as raw values, one per axis.
+        scale: Absolute value of the position scale per axis [rad per increment].
+        mode: Mode of operation: CSP, CSV or CST; 0 while the drives are not enabled.
     """
 
     def __init__(
@@ -73,16 +76,16 @@ class Player:
 
     @property
     def moving(self) -> bool:
-        """Whether set-points of a motion are left, or it brakes."""
+        """Whether a motion is running, about to begin, or braking."""
         return self._track is not None or self._begin is not None
 
     def load(self, track: Track) -> None:
-        """Keep the next motion for `start`; from any thread.
+        """Store the next motion for `start`; any thread can call this.
 
         Raises:
-            CommandRefused: It is for another number of axes.
+            CommandRefused: The number of axes of the motion is wrong.
         """
-        first = track.rows[0][0]  # makes all rows, in the thread that has time for it
+        first = track.rows[0][0]  # computes all rows outside of the cyclic thread
         if len(first) != len(self.scale):
             raise CommandRefused(
                 f"segment {track.segment} has {len(first)} axes, the arm {len(self.scale)}"
@@ -90,23 +93,26 @@ class Player:
         self._loaded = track
 
     def start(self) -> None:
-        """Begin with the next cycle; from any thread.
+        """Start the loaded motion with the next cycle; any thread can call this.
 
         Raises:
-            CommandRefused: Nothing is loaded, it does not begin where the arm is held, the last
-                motion goes on, or the drives are not enabled.
+            CommandRefused: No motion is loaded, the loaded motion does not begin at the held
+                position, another motion is still running, or the drives are not enabled.
         """
         with self._lock:
             track = self._loaded
             if track is None:
-                raise CommandRefused("start without a prepared segment", hint="prepare one first")
+                raise CommandRefused("no segment is prepared", hint="prepare a segment first")
             self._refuse_now(track)
             self._loaded, self._begin = None, track
 
     def stop(self, deceleration_rad_s2: float) -> None:
-        """Come to rest on the rest of the way, slower and slower, and hold there; from any thread.
+        """Decelerate along the remaining path, then hold; any thread can call this.
 
-        Idempotent. What is loaded or about to begin is forgotten.
+        Idempotent. A motion that is loaded or about to begin is dropped.
+
+        Args:
+            deceleration_rad_s2: Deceleration of the fastest joint [rad/s²].
         """
         with self._lock:
             self._loaded = self._begin = None
@@ -118,7 +124,7 @@ class Player:
             self._slower = self._pace if lasts_s <= 0.0 else self._period_s / lasts_s
 
     def engage(self, mode: int, outputs: Outputs) -> None:
-        """The drives are enabled in a mode, with these preloaded targets: hold them."""
+        """Begin to hold the preloaded targets after the drives were enabled in a mode."""
         with self._lock:
             self._loaded = self._begin = self._track = None
             torque = outputs.torque_offset if mode == od.CSP else outputs.target_torque
@@ -129,7 +135,7 @@ class Player:
             self.mode, self.status = mode, HOLDING
 
     def disengage(self) -> None:
-        """The drives do not follow any more: there is no motion."""
+        """Drop all motions, because the drives no longer follow set-points."""
         with self._lock:
             self._loaded = self._begin = self._track = None
             self.mode, self.segment, self.status = 0, -1, 0
@@ -152,8 +158,8 @@ class Player:
         elif self.mode == od.CST:
             outputs.target_torque[:] = self._controlled(inputs)
         if self.mode == outputs.mode[0] != od.CSP:
-            # Drives do not look at it in these modes, recordings do. Not while the mode is
-            # switched: then what is preloaded is where the axes are.
+            # Drives ignore it in these modes, but recordings use it. While the mode is switched,
+            # the preloaded targets are the measured positions and must not be replaced.
             outputs.target_position[:] = self.position
 
     def _set_out(self, track: Track) -> None:
@@ -163,7 +169,7 @@ class Player:
         self._fade.begin(self._fade.faded(self.torque), track.rows[0][2])
 
     def _advance(self, track: Track) -> None:
-        """One row further; slower and slower when it brakes."""
+        """Advance along the track by one row, or by less than one row while braking."""
         rows = track.rows
         if not self._slower:
             at = int(self._at)
@@ -176,7 +182,7 @@ class Player:
             self._rest_here(holding)
 
     def _brake(self, track: Track) -> list[int]:
-        # `_at` is the row to come; the one commanded last is a whole step behind it.
+        # `_at` is the next row; the row commanded last is one step before it.
         before, self._pace = self._pace, max(self._pace - self._slower, 0.0)
         passed = self._at - 1.0 + 0.5 * (before + self._pace)
         self.position, velocity, torque, holding = track.between(passed)
@@ -187,13 +193,13 @@ class Player:
         return holding
 
     def _fastest(self, track: Track, at: float) -> float:
-        """Of all joints, per cycle [rad]."""
+        """Return the distance that the fastest joint moves in one cycle [rad]."""
         steps = track.steps_at(at)
         return max(abs(step) * by for step, by in zip(steps, self.scale, strict=True))
 
     def _rest_here(self, holding: list[int]) -> None:
         self._track = None
-        if holding != self.torque:  # it ends with an acceleration
+        if holding != self.torque:  # the motion ends with an acceleration
             self._fade.begin(self._fade.faded(self.torque), holding)
             self.torque = holding
         self.velocity = [0] * len(self.scale)
@@ -221,18 +227,18 @@ class Player:
         if self.moving:
             raise CommandRefused(
                 f"{where}: segment {self.segment} is still running",
-                hint="read until the status says HOLDING, or stop()",
+                hint="read until the status is HOLDING, or call stop()",
             )
         far, axis = farthest(track.rows[0][0], self.position, self.scale)
         if far > BEGINS_WITHIN_RAD:
             raise CommandRefused(
-                f"{where} begins {far:.4f} rad from where axis {axis + 1} is held",
-                hint="plan it from the present q_target",
+                f"{where} begins {far:.4f} rad from the held position of axis {axis + 1}",
+                hint="plan the segment from the present q_target",
             )
 
 
 def farthest(a: Sequence[int], b: Sequence[int], scale: Sequence[float]) -> tuple[float, int]:
-    """Return the largest distance between positions, each times its scale, and its axis."""
+    """Return the largest joint distance between two positions [rad], and the number of its axis."""
     return max(
         (abs(wrapped(p - q)) * by, axis)
         for axis, (p, q, by) in enumerate(zip(a, b, scale, strict=True))
@@ -240,14 +246,17 @@ def farthest(a: Sequence[int], b: Sequence[int], scale: Sequence[float]) -> tupl
 
 
 FADE_S = 0.5
-"""A step in the feed-forward torque (a model that is off, a mode switch) goes over this time."""
+"""Duration over which a step in the feed-forward torque is faded [s].
+
+Such steps result from model errors and from changes of the mode.
+"""
 
 
 class Fade:
-    """Feed-forward torque, without steps where one model or mode follows the other.
+    """Fading of the feed-forward torque that avoids steps at a change of motion or mode.
 
     Args:
-        n: Axes.
+        n: Number of axes.
         period_s: Device time of a cycle [s].
     """
 
@@ -256,16 +265,16 @@ class Fade:
         self.end()
 
     def begin(self, present: Sequence[int], torque: Sequence[int]) -> None:
-        """Begin to fade from the present torque to the first one of the next motion [‰]."""
+        """Begin to fade from the present torque to the first torque of the next motion [‰]."""
         self._bias = [now - then for now, then in zip(present, torque, strict=True)]
         self._left = 1.0
 
     def end(self) -> None:
-        """There is no step any more."""
+        """End the fading: discard the remaining step of the torque."""
         self._bias, self._left = [0] * self._n, 0.0
 
     def faded(self, torque: list[int]) -> list[int]:
-        """Return a row's torque with the rest of the step, and advance by a cycle."""
+        """Return the torque of a row plus the remaining step; advance the fading by one cycle."""
         if self._left <= 0.0:
             return torque
         self._left -= self._per_cycle

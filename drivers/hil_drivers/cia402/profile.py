@@ -1,9 +1,10 @@
-"""What a drive's raw integers mean at its joint: encoder, gear, rated values, signs.
+"""Scaling of a drive's raw integers to joint quantities: encoder, gear, rated values, signs.
 
-`AxisProfile` is one axis. Its fields come from three places, the later winning: the device profile
-(`PROFILES`, what a make of drives does differently), the drive's own objects, the station's `axes`.
-`Scaling` is all axes as arrays: it converts whole recordings and prepared motions. The cycles
-themselves stay in integers.
+`AxisProfile` describes one axis. The fields of `AxisProfile` have three sources, in order of
+increasing priority: the device profile (`PROFILES`) with the peculiarities of a make of drives, the
+objects read from the drive, and the option `axes` of the station. `Scaling` combines the profiles
+of all axes in arrays and converts whole recordings and prepared motions. The cycles themselves use
+the raw integers of the drives.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from hil.core import FloatArray, SpecError
 TURN = 2.0 * math.pi
 
 WRAP = 1 << 32
-"""Positions have 32 bits; a counter that runs over goes on at the other end."""
+"""Number of values of a 32-bit position counter, which overflows from one end to the other."""
 _HALF = WRAP >> 1
 
 INT16, INT32 = (-(1 << 15), (1 << 15) - 1), (-(1 << 31), (1 << 31) - 1)
@@ -36,38 +37,46 @@ COUNTS_PER_REV_S: dict[str, float] = {
     "0.0001 rpm": 600_000.0,
     "beckhoff": 2**32 / 16_000,
 }
-"""What 606Ch and 60FFh read at one motor revolution per second; increments/s go by 608Fh.
+"""Value of 606Ch and 60FFh at one motor revolution per second, by velocity unit.
 
-`beckhoff` is 2^32 / 16 000 ≈ 268 435 (EL72xx, EP7414; infosys.beckhoff.com "Scaling of actual
-values and setpoints"), `0.0001 rpm` the default of AX8000 (3005h:02)."""
+For the unit `increments/s`, the value follows from 608Fh instead. The unit `beckhoff` has the value
+2^32 / 16 000 ≈ 268 435 (EL72xx, EP7414; infosys.beckhoff.com "Scaling of actual values and
+setpoints"). The unit `0.0001 rpm` is the default of AX8000 (3005h:02).
+"""
 
 POSITION_BIT, VELOCITY_BIT, TORQUE_BIT = 0x80, 0x40, 0x20
-"""607Eh: the drive counts against its motor; CiA 402 leaves bit 5 to vendors."""
+"""Polarity bits (607Eh) that reverse the signs of a drive; bit 5 is vendor-specific."""
 
 
 @dataclass(frozen=True)
 class AxisProfile:
-    """How the numbers of one drive relate to its joint.
+    """Relation between the raw numbers of one drive and its joint.
 
     Attributes:
-        encoder_increments, encoder_revolutions: 608Fh: increments per so many motor revolutions.
-        gear_ratio: Motor revolutions per joint revolution.
-        rated_current_a: 6075h [A]; ‰ of it are the unit of 6078h.
-        rated_torque_nm: 6076h [N·m] at the motor.
-        polarity: 607Eh as the drive has it.
-        direction: −1 where the joint turns against the motor (mounted, belted or wired so).
-        offset_rad: Angle of the joint where the drive's position is 0 [rad].
-        centre_rad: Middle of the joint's range: of all angles that a wrapped position can mean,
-            the nearest to it is meant [rad].
-        position_unsigned: The drive counts from 0 to 2^32 − 1: targets beyond an end wrap, as its
-            own counter does; else they stop at the ends of 32 bits with sign.
-        velocity_unit: Of 606Ch and 60FFh.
-        torque_of: What 6071h, 6077h and 60B2h are ‰ of.
-        torque_constant_nm_a: Of the motor [N·m/A]; for `rated-current`.
-        rated_current_is: A `peak` value is divided by √2 before it meets the torque constant
-            (EL72xx with 2002h:54 = 0), an `rms` one is not (2002h:54 = 1).
-        quick_stop_rad_s2: Deceleration of the quick stop at the joint where 6085h is in a unit of
-            its own [rad/s²]; 0: by 6085h, in counts of velocity per second.
+        encoder_increments: Number of encoder increments (608Fh:01) in `encoder_revolutions`.
+        encoder_revolutions: Number of motor revolutions (608Fh:02) in which the encoder counts
+            `encoder_increments`.
+        gear_ratio: Number of motor revolutions per joint revolution.
+        rated_current_a: Rated current (6075h) [A]; 6078h is in ‰ of the rated current.
+        rated_torque_nm: Rated torque at the motor (6076h) [N·m].
+        polarity: Value of the object polarity (607Eh), whose bits reverse signs of the drive.
+        direction: −1 if the joint turns against the motor because of mounting, belt or wiring.
+        offset_rad: Joint angle at drive position 0 [rad].
+        centre_rad: Middle of the joint's range [rad]; a wrapped position is converted to the
+            nearest possible angle.
+        position_unsigned: Whether the drive counts from 0 to 2^32 − 1. Targets of an unsigned drive
+            wrap like the counter; targets of all other drives are limited to the range of signed
+            32-bit integers.
+        velocity_unit: Unit of 606Ch and 60FFh.
+        torque_of: Quantity to which the ‰ values in 6071h, 6077h and 60B2h refer: rated torque or
+            rated current.
+        torque_constant_nm_a: Torque constant of the motor [N·m/A]; used if `torque_of` is
+            `rated-current`.
+        rated_current_is: Kind of the rated current, `peak` or `rms`. A `peak` value is divided by
+            √2 before the multiplication by the torque constant (EL72xx with 2002h:54 = 0). An `rms`
+            value is not divided (2002h:54 = 1).
+        quick_stop_rad_s2: Quick-stop deceleration at the joint [rad/s²], for drives whose 6085h has
+            a vendor-specific unit; 0 if 6085h is in counts of velocity per second.
     """
 
     encoder_increments: int
@@ -88,28 +97,28 @@ class AxisProfile:
 
     @property
     def increments_per_rev(self) -> float:
-        """Increments of one motor revolution."""
+        """Number of encoder increments per motor revolution."""
         return self.encoder_increments / self.encoder_revolutions
 
     @cached_property
     def rad_per_increment(self) -> float:
-        """Joint angle of one increment, with the sign of position [rad]."""
+        """Joint angle of one increment [rad], with the sign of position."""
         return self._sign(POSITION_BIT) * TURN / (self.increments_per_rev * self.gear_ratio)
 
     @cached_property
     def rad_s_per_count(self) -> float:
-        """Joint velocity of one count of 606Ch, with its sign [rad/s]."""
+        """Joint velocity of one count of 606Ch [rad/s], with the sign of velocity."""
         counts = COUNTS_PER_REV_S.get(self.velocity_unit, self.increments_per_rev)
         return self._sign(VELOCITY_BIT) * TURN / (counts * self.gear_ratio)
 
     @cached_property
     def nm_per_count(self) -> float:
-        """Joint torque of one count of 6077h, with its sign [N·m]; no losses in the gear."""
+        """Joint torque of one count of 6077h [N·m], signed like torque, without gear losses."""
         return self._sign(TORQUE_BIT) * self.motor_rated_nm * self.gear_ratio / 1000.0
 
     @cached_property
     def a_per_count(self) -> float:
-        """Motor current of one count of 6078h, with the sign of torque [A]."""
+        """Motor current of one count of 6078h [A], with the sign of torque."""
         return self._sign(TORQUE_BIT) * self.rated_current_a / 1000.0
 
     @property
@@ -121,22 +130,25 @@ class AxisProfile:
 
     @property
     def effective_rated_a(self) -> float:
-        """Rated current as the torque constant takes it [A]."""
+        """Rated current in the unit of the torque constant [A]."""
         peak = self.rated_current_is == "peak"
         return self.rated_current_a / math.sqrt(2.0) if peak else self.rated_current_a
 
     @property
     def drive_gain(self) -> float:
-        """Joint torque per ampere of `current` [N·m/A]."""
+        """Drive gain: joint torque per ampere of motor current [N·m/A]."""
         return self.motor_rated_nm * self.gear_ratio / self.rated_current_a
 
     @cached_property
     def centre_counts(self) -> int:
-        """Position in increments, unwrapped, in the middle of the joint's range."""
+        """Unwrapped position in the middle of the joint's range [increments]."""
         return round((self.centre_rad - self.offset_rad) / self.rad_per_increment)
 
     def position(self, raw: int) -> float:
-        """Joint angle [rad] of 6064h, signed or unsigned: the one nearest to `centre_rad`."""
+        """Return the joint angle [rad] nearest to `centre_rad` for a raw position (6064h).
+
+        The raw position can be a signed or an unsigned integer.
+        """
         centre = self.centre_counts
         return (centre + wrapped(raw - centre)) * self.rad_per_increment + self.offset_rad
 
@@ -153,34 +165,36 @@ PROFILES: dict[str, dict[str, Any]] = {
         "rated_current_is": "peak",
     },
 }
-"""What a device profile says where neither the station's `axes` nor the drive do."""
+"""Device profiles: values used if neither the station's `axes` nor the drive contains them."""
 
 
 def wrapped(value: int) -> int:
-    """Return a value as 32 bits with sign: as a counter wraps, and the shorter way round."""
+    """Return a value wrapped to a signed 32-bit integer: the shorter position difference."""
     return (value + _HALF) % WRAP - _HALF
 
 
-def axis_profile(name: str, given: Mapping[str, Any], found: Mapping[str, Any]) -> AxisProfile:
+def axis_profile(name: str, given: Mapping[str, Any], reported: Mapping[str, Any]) -> AxisProfile:
     """Return the profile of one axis.
 
     Args:
-        name: A key of `PROFILES`.
-        given: Fields of `AxisProfile` as the station says them; they win.
-        found: Fields as the drive says them; they win over those of the device profile.
+        name: Name of the device profile, a key of `PROFILES`.
+        given: Fields of `AxisProfile` from the station, which have the highest priority.
+        reported: Fields of `AxisProfile` from the drive, which have priority over the device
+            profile.
 
     Raises:
-        SpecError: Something is still missing.
+        SpecError: A required field is missing in the station, in the drive and in the device
+            profile.
     """
-    merged = {**PROFILES[name], **found, **given}
+    merged = {**PROFILES[name], **reported, **given}
     needed = ["encoder_increments", "gear_ratio", "rated_current_a"]
     current = merged.get("torque_of") == "rated-current"
     needed.append("torque_constant_nm_a" if current else "rated_torque_nm")
     merged.setdefault("rated_torque_nm", 0.0)
     if missing := [field for field in needed if not merged.get(field)]:
         raise SpecError(
-            f"profile {name}: neither the station nor the drive says {', '.join(missing)}",
-            hint=f"give axes.{missing[0]} in the station, from the drive's documentation",
+            f"profile {name}: neither the station nor the drive defines {', '.join(missing)}",
+            hint=f"set axes.{missing[0]} in the station, from the drive's documentation",
         )
     known = {field.name for field in fields(AxisProfile)}
     return AxisProfile(**{key: value for key, value in merged.items() if key in known})
@@ -190,20 +204,21 @@ IntArray = NDArray[np.int64]
 
 
 class Scaling:
-    """The profiles of all axes, as arrays.
+    """Scaling of all axes in arrays, computed from the profiles of the axes.
 
-    Every method takes (N, n) or (n,) and gives the same shape. Raw values that come out of SI are
-    rounded, and stop at the ends of their type; positions of unsigned counters wrap.
+    Every method takes an array of shape (N, n) or (n,) and returns an array of the same shape.
+    Values converted from SI units are rounded and limited to the range of their integer type; only
+    positions of unsigned counters wrap.
 
     Args:
-        axes: One profile per axis, n of them.
+        axes: Profiles of the n axes.
 
     Attributes:
-        axes: The same.
-        position_resolution: Joint angle of one increment [rad], (n,).
-        velocity_resolution: Joint velocity of one count of 606Ch [rad/s], (n,).
-        torque_resolution: Joint torque of one count of 6077h [N·m], (n,): the finest step.
-        current_resolution: Current of one count of 6078h [A], (n,).
+        axes: Profiles of the n axes.
+        position_resolution: (n,) joint angle of one increment [rad].
+        velocity_resolution: (n,) joint velocity of one count of 606Ch [rad/s].
+        torque_resolution: (n,) joint torque of one count of 6077h [N·m].
+        current_resolution: (n,) motor current of one count of 6078h [A].
     """
 
     def __init__(self, axes: Sequence[AxisProfile]) -> None:
@@ -227,40 +242,40 @@ class Scaling:
 
     @property
     def drive_gains(self) -> tuple[float, ...]:
-        """Joint torque per ampere of `current` [N·m/A]."""
+        """Drive gains of all axes: joint torque per ampere of motor current [N·m/A]."""
         return tuple(axis.drive_gain for axis in self.axes)
 
     def position(self, raw: Any) -> FloatArray:
-        """Joint angles [rad] of 6064h, signed or unsigned: those nearest to the joints' middles."""
+        """Return the joint angles [rad], nearest to `centre_rad`, for raw positions (6064h)."""
         away = (np.asarray(raw, dtype=np.int64) - self._centre + _HALF) % WRAP - _HALF
         return (self._centre + away) * self._position + self._offset
 
     def velocity(self, raw: Any) -> FloatArray:
-        """Joint velocities [rad/s] of 606Ch."""
+        """Return joint velocities [rad/s] for raw velocities (606Ch)."""
         return _floats(raw) * self._velocity
 
     def torque(self, raw: Any) -> FloatArray:
-        """Joint torques [N·m] of 6077h, 6071h or 60B2h."""
+        """Return joint torques [N·m] for raw torques (6077h, 6071h or 60B2h)."""
         return _floats(raw) * self._torque
 
     def current(self, raw: Any) -> FloatArray:
-        """Motor currents [A] of 6078h."""
+        """Return motor currents [A] for raw currents (6078h)."""
         return _floats(raw) * self._current
 
     def raw_position(self, q: Any) -> IntArray:
-        """607Ah for joint angles [rad], as 32 bits with sign."""
+        """Return target positions (607Ah), as signed 32-bit integers, for joint angles [rad]."""
         counts = np.rint((_floats(q) - self._offset) / self._position)
-        # Beyond 2^62 the cast would be undefined; there the end of the type is right anyway.
+        # The cast is undefined beyond 2^62; larger values are limited to the type's range below.
         counts = np.clip(counts, -(2.0**62), 2.0**62).astype(np.int64)
         around: IntArray = (counts + _HALF) % WRAP - _HALF
         return np.where(self._unsigned, around, np.clip(counts, *INT32))
 
     def raw_velocity(self, qd: Any) -> IntArray:
-        """60FFh for joint velocities [rad/s]."""
+        """Return target velocities (60FFh) for joint velocities [rad/s]."""
         return _rounded(_floats(qd) / self._velocity, INT32)
 
     def raw_torque(self, nm: Any) -> IntArray:
-        """6071h or 60B2h for joint torques [N·m]."""
+        """Return raw torques (6071h or 60B2h) for joint torques [N·m]."""
         return _rounded(_floats(nm) / self._torque, INT16)
 
 

@@ -1,8 +1,9 @@
-"""The recording of a run made anew from a log of its CAN bus, as `candump -L` writes it.
+"""Reconstruction of a run's recording from a log of its CAN bus in the format of `candump -L`.
 
-`BusCycles` follows the frames and makes of every SYNC the record that the cycles themselves would
-have kept; from there on `rows` makes the same rows as in the run. What the drives' integers mean is
-taken from the run (`start.json`), because no drive is there to be asked.
+`BusCycles` processes the frames and builds for every SYNC the record that the driver stored in the
+run. The module `rows` then converts these records to the same rows as in the run. The scaling of
+the drives' integers is read from the files of the run (`start.json`), because no drive is
+connected.
 """
 
 from __future__ import annotations
@@ -36,17 +37,17 @@ from hil_drivers.cia402.timing import Stalls
 
 
 class Replay:
-    """A log of the bus of one run; see `hil.robot.protocol.RecordedLog`.
+    """Log of the CAN bus during one run, as a `hil.robot.protocol.RecordedLog`.
 
     Args:
-        log: The file.
-        model: Built-in arm.
-        options: The station's.
-        robot: `start.json: robot` of the run, with the objects of the drives.
+        log: Log file.
+        model: Name of a built-in arm.
+        options: Options of the station.
+        robot: Content of the key `robot` in the run's `start.json`, with the objects of the drives.
 
     Raises:
-        SpecError: An option cannot be.
-        DataError: The run does not say what the drives' integers mean.
+        SpecError: An option is invalid.
+        DataError: The scaling of the drives is missing in the files of the run.
     """
 
     def __init__(
@@ -74,21 +75,22 @@ class Replay:
             yield rows.rows(cycles), further
         if not any_cycles:
             raise DataError(
-                f"{self._log} holds no SYNC (COB-ID 080): it is no log of this run's bus",
+                f"{self._log} contains no SYNC (COB-ID 080): it is not a log of this run's bus",
                 hint="log with the station's option candump, or with candump -L on the same bus",
             )
 
 
 def profiles_of(options: Options, model: str, robot: MappingOf[str, Any]) -> list[AxisProfile]:
-    """Return the profiles of all axes in a run.
+    """Return the scaling profiles of all axes in a run.
 
     Args:
-        options: Of its station.
-        model: Built-in arm.
-        robot: `start.json: robot`; its identity holds the scaling objects as they were read.
+        options: Options of the run's station.
+        model: Name of a built-in arm.
+        robot: Content of the key `robot` in `start.json`; the identity in this content contains the
+            scaling objects that were read from the drives.
 
     Raises:
-        DataError: It does not hold them.
+        DataError: The identity of the robot does not contain the scaling objects.
     """
     arm, details = load_arm(model), robot.get("identity", {}).get("details", {})
     profiles = []
@@ -105,28 +107,29 @@ def profiles_of(options: Options, model: str, robot: MappingOf[str, Any]) -> lis
 
 
 def _objects(details: MappingOf[str, Any], axis: int) -> dict[str, int]:
-    """Objects of one axis, as `Commissioned.details` keeps them."""
+    """Return the objects of one axis from texts in the format of `Commissioned.details`."""
     read: dict[str, int] = {}
-    for name, told in details.items():
-        values = str(told).split()
+    for name, text in details.items():
+        values = str(text).split()
         if axis < len(values) and values[axis].lstrip("-").isdigit():
             read[name] = int(values[axis])
     return read
 
 
 BLOCK = 4096
-"""Records that are given at a time."""
+"""Number of cycle records per block."""
 
 
 class BusCycles:
-    """Follows a bus frame by frame.
+    """Converter from the frames of a bus to cycle records.
 
-    A record is what one SYNC, the commands behind it and the answers to it have in common, with the
-    temperatures known at the SYNC and the fault known when the last answer came.
+    A record combines one SYNC, the commands after the SYNC and the answers to the SYNC. The record
+    also contains the motor temperatures known at the SYNC and the fault code known when the last
+    answer arrived.
 
     Args:
-        options: Of the station.
-        mapping: What travels.
+        options: Options of the station.
+        mapping: Mapping of the process data.
     """
 
     def __init__(self, options: Options, mapping: Mapping) -> None:
@@ -147,12 +150,12 @@ class BusCycles:
             options.period_s, options.late_cycles, real=options.wall_period_s == options.period_s
         )
         self._stalled = False
-        self._told = self._announced
+        self._in_cycle = self._announced
         self._missing: set[int] = set()
         self._celsius, self._fault_code = self._temperatures.celsius.copy(), 0
 
     def blocks(self, frames: Iterable[Frame]) -> Iterator[StructArray]:
-        """Records of all cycles in which anything was answered or commanded, in order."""
+        """Yield the records of all cycles in order, in blocks."""
         records: list[Any] = []
         for frame in frames:
             if frame.id == SYNC_COB_ID:
@@ -170,7 +173,7 @@ class BusCycles:
     def _open(self, frame: Frame) -> None:
         self._cycle, self._sync_time = self._cycle + 1, frame.time_s
         self._stalled = self._stalls.synced(frame.time_s)
-        self._told, self._missing = self._announced, set(self._answers)
+        self._in_cycle, self._missing = self._announced, set(self._answers)
         self._celsius = self._temperatures.celsius.copy()
 
     def _take(self, frame: Frame) -> None:
@@ -206,7 +209,7 @@ class BusCycles:
         return next(iter(self._faults.values()), 0)
 
     def _closed(self) -> list[Any]:
-        """The record of the cycle that is over, if there was one."""
+        """Return the record of the cycle that has ended, if there was one."""
         if self._cycle < 0:
             return []
         flags = STALLED if self._stalled else 0
@@ -217,7 +220,7 @@ class BusCycles:
         record["cycle"], record["host_time"] = self._cycle, self._sync_time
         record["temperature"], record["flags"] = self._celsius, flags
         record["fault_code"] = self._fault_code
-        record["segment"], record["status"] = self._told
+        record["segment"], record["status"] = self._in_cycle
         record["rpdo"], record["tpdo"] = self._sent, self._answered
         return [record]
 
@@ -226,7 +229,7 @@ class BusCycles:
 
 
 def _slots(pdos: Any, nodes: Iterable[int], cob_id_of: Any) -> dict[int, tuple[int, int]]:
-    """COB-ID → which PDO, which axis."""
+    """Return a dictionary from each COB-ID to the index of its PDO and the number of its axis."""
     return {
         cob_id_of(pdo.number, node): (at, axis)
         for at, pdo in enumerate(pdos)

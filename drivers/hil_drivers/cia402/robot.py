@@ -1,8 +1,8 @@
-"""Driver of an arm on CiA 402 drives: a process of its own owns the bus and its clock.
+"""Driver of an arm on CiA 402 drives; a separate process owns the bus and its clock.
 
-Neither process can delay the other: `AxesRobot` exchanges cycles in its own process, `Cia402Robot`
-passes calls on to it. If that process does not stop the arm, `Cia402Robot` sends the stop to the
-drives itself.
+`AxesRobot` executes the cycles in the separate process, and `Cia402Robot` forwards calls to that
+process. Therefore the caller and the cycles cannot delay each other. If the separate process does
+not stop the arm, `Cia402Robot` sends the stop to the drives directly.
 """
 
 from __future__ import annotations
@@ -24,19 +24,22 @@ from hil_drivers.cia402.rows import raw_topic
 DRIVER = "hil_drivers.cia402.axes_robot:AxesRobot"
 
 STOP_S = 0.06
-"""How long its process may take to confirm a stop; then the drives are stopped directly [s]."""
+"""Longest wait for the driver process to confirm a stop [s].
+
+If the driver process does not confirm a stop in this time, the drives are stopped directly.
+"""
 
 
 class Cia402Robot(RobotProcess):
-    """Implements `hil.robot.Robot` for six drives, or as many as the arm has joints.
+    """Implementation of `hil.robot.Robot` for an arm with one CiA 402 drive per joint.
 
     Args:
-        name: The robot's name in its station.
-        model: A built-in arm.
-        options: See `hil_drivers.cia402.options.Options`.
+        name: Name of the robot in its station.
+        model: Name of a built-in arm.
+        options: Options of the station, as described in `hil_drivers.cia402.options.Options`.
 
     Raises:
-        SpecError: An option is missing, unknown, or cannot be.
+        SpecError: An option of the station is missing, unknown or invalid.
     """
 
     def __init__(self, name: str, model: str, **options: Any) -> None:
@@ -55,34 +58,35 @@ class Cia402Robot(RobotProcess):
         super().__init__(DRIVER, name, model, options, known=known)
 
     def reach(self) -> Sequence[Finding]:
-        """See `hil.robot.HasReach`."""
+        """Return whether the bus can be reached; see `hil.robot.HasReach`."""
         return [self._options.bus.finding()]
 
     @classmethod
     def read_log(
         cls, log: Path, model: str, options: Mapping[str, Any], robot: Mapping[str, Any]
     ) -> RecordedLog:
-        """See `hil.robot.protocol.ReadsLogs`."""
+        """Open the log of a run; see `hil.robot.protocol.ReadsLogs`."""
         return Replay(log, model, options, robot)
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
-        """Set gravity in the base frame [m/s²] for the torque model; call before `connect`."""
+        """Set the gravity vector of the torque model [m/s², base frame]; call before `connect`."""
         self._how["gravity"] = list(gravity_m_s2)
 
     def connect(self) -> None:
-        """See `hil.robot.Robot`; once connected, limits and gains are those of the drives."""
-        # A stop has milliseconds: too little to import this then. Where it is not installed, the
-        # process that joins the bus says so.
+        """Connect the drives; afterwards `limits` and `capabilities` are those of the drives."""
+        # Imported now, because a stop must not take longer than milliseconds. If the package is
+        # missing, the process that opens the bus reports it.
         with contextlib.suppress(ImportError):
             import can  # noqa: F401
 
         super().connect()
 
     def stop(self) -> None:
-        """Bring the arm to rest: by its process, else by stopping the drives directly.
+        """Stop the arm by the driver process; if that fails, stop the drives directly.
 
         Raises:
-            RobotConnectionError: Neither way works.
+            RobotConnectionError: The arm could be stopped neither by the driver process nor
+                directly.
         """
         self._last_stop = object()
         process = self.process
@@ -93,7 +97,7 @@ class Cia402Robot(RobotProcess):
         except (RobotConnectionError, RobotTimeout) as error:
             if not stop_directly(self._options):
                 raise RobotConnectionError(
-                    f"{self._name}: nobody can tell the drives to stop ({error.message}); they "
-                    "stop by themselves when the master's heartbeat is overdue, after 0.25 s",
-                    hint="see to the robot itself, by its emergency stop if need be",
+                    f"{self._name}: no stop can be sent to the drives ({error.message}); they stop "
+                    "by themselves when the heartbeat of the master is overdue, after 0.25 s",
+                    hint="check that the robot stops; if not, press its emergency stop",
                 ) from error

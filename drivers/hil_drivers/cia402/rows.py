@@ -1,9 +1,10 @@
-"""The record of a cycle, and the rows that recordings get of it.
+"""Record of a cycle, and its conversion to rows of a recording.
 
-`cycle_dtype` is the record that each cycle leaves, with the bytes as they were on the bus.
-`StateRows` makes the base robot record of them, `raw_rows` a topic with every integer. A state row
-pairs the measurement at SYNC k with the set-point that was to be reached by then: drives apply at
-SYNC k−1 the set-point sent in cycle k−2, and reach it at SYNC k (60C2h is one period).
+`cycle_dtype` returns the layout of the record that each cycle stores, with the bytes as they were
+on the bus. `StateRows` converts records to the base robot record; `raw_rows` converts them to a
+topic with every integer. A state row pairs the measurement at SYNC k with the set-point due at SYNC
+k. At SYNC k−1, drives apply the set-point sent in cycle k−2, and reach this set-point at SYNC k
+(60C2h is one period).
 """
 
 from __future__ import annotations
@@ -22,24 +23,28 @@ from hil_drivers.cia402.objects import CSP, CST, VELOCITY, Entry
 from hil_drivers.cia402.profile import Scaling
 
 LATE = 1 << 30
-"""Flag of a cycle: its SYNC was late. Flag 1 << axis: not all answers of that axis came, its bytes
-are of an earlier cycle."""
+"""Flag of a cycle whose SYNC was late.
+
+The flag 1 << axis means that not all answers of the axis arrived, and that the bytes of the axis
+are from an earlier cycle.
+"""
 
 STALLED = 1 << 29
-"""Flag of a cycle: its SYNC came more than 1.5 periods after the one before, at the wall's pace."""
+"""Flag of a real-time cycle whose SYNC was more than 1.5 periods after the previous SYNC."""
 
 INCOMPLETE = STALLED - 1
-"""Mask of the flags 1 << axis."""
+"""Mask of all flags 1 << axis, which mark axes with missing answers."""
 
 
 def cycle_dtype(mapping: Mapping, n: int) -> np.dtype[Any]:
     """Return the dtype of the record of one cycle, with the bytes as they were on the bus.
 
-    Fields: `cycle` (its number, from 0), `host_time` (Unix time at which its SYNC was
-    sent), `segment` and `status` (announced by the master with it), `fault_code` (of the EMCY that
-    the first faulty axis sent, 0 without a fault), `flags` (`INCOMPLETE`, `STALLED`, `LATE`), then
-    the eight bytes of each PDO, `rpdo` (R, n, 8) as sent after this SYNC and `tpdo` (T, n, 8) as
-    answered to it, and `temperature` (n,) [°C], the newest known at the SYNC, NaN before.
+    Fields: `cycle` (number of the cycle, from 0), `host_time` (Unix time at which its SYNC was
+    sent), `segment` and `status` (announced by the master in the cycle), `fault_code` (EMCY code of
+    the first faulty axis, 0 without a fault), `flags` (`INCOMPLETE`, `STALLED`, `LATE`), then the
+    eight bytes of each PDO: `rpdo` (R, n, 8) as sent after this SYNC and `tpdo` (T, n, 8) as
+    answered to it, and `temperature` (n,) [°C], the newest temperatures known at the SYNC, NaN
+    before the first ones.
     """
     return np.dtype(
         [
@@ -67,14 +72,15 @@ _HEAD = (("cycle", "<i4"), ("segment", "<i4"), ("status", "<i4"), ("fault_code",
 
 
 def raw_topic(mapping: Mapping, n: int, rate_hz: float) -> Topic:
-    """Return the topic of commands to the drives and their answers, integer by integer.
+    """Return the topic that contains all integers of the commands and of the drives' answers.
 
-    Commands are those sent in the cycle; `segment` and `status` were announced with them.
+    Each row contains the commands that were sent in the cycle, together with `segment` and
+    `status`.
 
     Args:
-        mapping: Of the process data.
+        mapping: Mapping of the process data.
         n: Number of axes.
-        rate_hz: Cycles per second of device time [Hz].
+        rate_hz: Cycle rate in device time [Hz].
     """
     entries = sorted(mapping.entries, key=lambda entry: -entry.size)
     fields: list[Any] = [("device_time", "<f8"), ("host_time", "<f8"), *_HEAD, ("flags", "<i4")]
@@ -91,7 +97,7 @@ def raw_topic(mapping: Mapping, n: int, rate_hz: float) -> Topic:
 
 
 def raw_rows(cycles: StructArray, mapping: Mapping, topic: Topic, period_s: float) -> StructArray:
-    """Return cycles as rows of `raw_topic`, one each."""
+    """Convert cycle records to rows of `raw_topic`, one row per cycle."""
     rows = topic.blank(len(cycles))
     rows["device_time"], rows["host_time"] = cycles["cycle"] * period_s, cycles["host_time"]
     for name in ("cycle", "segment", "status", "fault_code", "flags"):
@@ -102,7 +108,7 @@ def raw_rows(cycles: StructArray, mapping: Mapping, topic: Topic, period_s: floa
 
 
 def raw_values(cycles: StructArray, mapping: Mapping) -> dict[str, IntArray]:
-    """Return name → (N, n) raw values, for all objects of the process data."""
+    """Return the raw values of all mapped objects: an (N, n) array for each object name."""
     values: dict[str, IntArray] = {}
     for side, pdos in (("rpdo", mapping.rpdos), ("tpdo", mapping.tpdos)):
         for at, pdo in enumerate(pdos):
@@ -112,19 +118,20 @@ def raw_values(cycles: StructArray, mapping: Mapping) -> dict[str, IntArray]:
 
 
 class StateRows:
-    """Turns cycles into state rows; blocks of any cut give the same rows.
+    """Converter from cycle records to state rows, independent of the sizes of the blocks.
 
-    The last cycles are kept, because set-points of the base record are older than the measurement;
-    velocities and accelerations of set-points are differences of them, as drives compute them.
-    Where the mapping has no velocity, it is the difference of positions from the last complete
-    cycle to this one: half a cycle late, and as coarse as the encoder; an effort that the mapping
-    lacks is NaN.
+    The converter stores the last cycles, because a state row pairs a measurement with a set-point
+    that was sent cycles earlier. Velocities and accelerations of the set-points are differences of
+    the positions, as computed by the drives. If the mapping has no velocity, the velocity is
+    computed from the positions of the last complete cycle and the present cycle. The computed
+    velocity lags by half a cycle and has the resolution of the encoder. If the mapping contains no
+    torque or current, the field `effort` is NaN.
 
     Args:
-        mapping: Of the process data.
-        scaling: Between raw integers and SI.
+        mapping: Mapping of the process data.
+        scaling: Conversion between raw integers and SI units.
         period_s: Device time of a cycle [s].
-        effort: The quantity that the base record has as `effort`.
+        effort: Quantity in the field `effort` of the base record.
     """
 
     def __init__(
@@ -141,7 +148,7 @@ class StateRows:
         self._last: StructArray | None = None
 
     def rows(self, cycles: StructArray) -> StructArray:
-        """Return state rows of further cycles, without those in which an answer was missing."""
+        """Return the state rows of the next cycles, except cycles with a missing answer."""
         if not len(cycles):
             return np.zeros(0, state_dtype(self._scaling.n))
         before = np.repeat(cycles[:1], _HISTORY) if self._before is None else self._before
@@ -155,7 +162,7 @@ class StateRows:
         return complete
 
     def _measured(self, cycles: StructArray) -> StructArray:
-        """Return rows with the quantities measured at the SYNC."""
+        """Return state rows that contain only the quantities measured at the SYNC."""
         rows = np.zeros(len(cycles), state_dtype(self._scaling.n))
         values, scaling = raw_values(cycles, self._mapping), self._scaling
         rows["device_time"] = cycles["cycle"] * self._period_s
@@ -171,7 +178,7 @@ class StateRows:
         return rows
 
     def _differentiate(self, rows: StructArray) -> None:
-        """Fill in the velocities; that of the very first row is 0."""
+        """Fill in the velocities from position differences; the first velocity is 0."""
         if not len(rows):
             return
         before = rows[:1] if self._last is None else self._last
@@ -181,10 +188,11 @@ class StateRows:
         self._last = rows[-1:].copy()
 
     def _commanded(self, rows: StructArray, cycles: StructArray) -> None:
-        """Fill in the set-points, which were sent `LATENCY` cycles before.
+        """Fill in the set-points that were sent `LATENCY` cycles earlier.
 
-        The set-point after each is known as well, because it has been sent since: differences are
-        central ones, without a delay of half a cycle.
+        The set-point of the next cycle is already known, because the master has sent that set-point
+        in the meantime. Therefore velocities and accelerations are central differences, without a
+        delay of half a cycle.
         """
         n = len(rows)
         values = raw_values(cycles, self._mapping)
@@ -201,7 +209,7 @@ class StateRows:
     def _effort_target(
         self, values: MappingOf[str, IntArray], n: int, mode: IntArray
     ) -> FloatArray:
-        """Return the torque set-points; NaN in CSP and CSV, where drives compute their own."""
+        """Return the torque set-points; NaN in CSP and CSV, whose torques the drives compute."""
         if self._effort == "current" or "target_torque" not in values:
             return np.full((n, self._scaling.n), np.nan)
         torque = self._scaling.torque(values["target_torque"][1 : n + 1])
@@ -216,21 +224,21 @@ def _numpy_code(mapping: Mapping, entry: Entry) -> str:
 def _scaled(
     values: MappingOf[str, IntArray], name: str, in_si: Callable[[IntArray], FloatArray]
 ) -> FloatArray:
-    """Return (N, n) values in SI; one NaN where the mapping lacks the object."""
+    """Return (N, n) values of an object in SI units; a single NaN if it is not mapped."""
     return in_si(values[name]) if name in values else np.asarray(np.nan)
 
 
 def _common(modes: IntArray) -> IntArray:
-    """Return (N,) the mode of all axes, 0 where they differ."""
+    """Return the common mode of all axes in each of N cycles, 0 if the modes differ."""
     same = (modes == modes[:, :1]).all(axis=1)
     return np.asarray(np.where(same, modes[:, 0], 0))
 
 
 def _around_stalls(flags: IntArray) -> IntArray:
-    """Return (N,) `MASKED` in cycles with a late SYNC and the `LATENCY` ones after it.
+    """Return the status `MASKED` for N cycles: set for a late SYNC and `LATENCY` further cycles.
 
     Args:
-        flags: (`_HISTORY` + N,) of the cycles before as well.
+        flags: (`_HISTORY` + N,) flags of the cycles, including the previous `_HISTORY` cycles.
     """
     late = (flags & STALLED) != 0
     n = len(late) - _HISTORY
@@ -239,12 +247,12 @@ def _around_stalls(flags: IntArray) -> IntArray:
 
 
 def _sure(mode: IntArray) -> BoolArray:
-    """Return (N,) whether the statusword's mode-specific bits are those of CSP, CSV and CST."""
+    """Return for N cycles whether statusword bits have the meaning of CSP, CSV and CST."""
     return np.asarray((mode >= CSP) & (mode <= CST))
 
 
 def _by_statusword(statusword: IntArray, sure: BoolArray) -> IntArray:
-    """Return (N,) `FAULT` and `MASKED`, from the statuswords (N, n) of all axes."""
+    """Return the status bits `FAULT` and `MASKED` of N cycles for the (N, n) statuswords."""
     faulty = np.isin(statusword & _FAULT_MASK, _FAULTY).any(axis=1)
     enabled = (statusword & _ENABLED_MASK) == _ENABLED
     follows = (statusword & _SUSPECT) == FOLLOWS_COMMAND

@@ -1,16 +1,17 @@
-"""One connection to the drives of an arm, from joining the bus to leaving it.
+"""Connection to the drives of an arm, from opening to closing the bus.
 
-`Session` sets all drives up, starts the cycles, resets faults that may be reset, and enables all
-axes where they are; when it ends, it brings the arm to rest, switches the axes off and leaves the
-bus. It has the parts of a connected arm: the drives as they were read (`commissioning`), the cycles
-(`core`), the motion that is played (`player`), the torque model; and its `findings` are the
-driver's lines of a preflight. Three parts are defined here, because only a connected arm has them:
+`Session` configures all drives, starts the cycles, resets resettable faults, and enables all axes
+at their present positions. At its end, a session brings the arm to rest, switches the axes off and
+closes the bus. A session owns the parts of a connected arm: the drives as read (`commissioning`),
+the cycles (`core`), the motion (`player`) and the torque model. `Session.findings` returns the
+preflight checks of the driver. The module also contains three classes that only a connected arm
+needs:
 
-- `Samples` takes the records of the cycles and makes rows of them.
-- `Trouble` follows whether the arm obeys, and has the error that the next read raises.
-- `Thermometer` asks the drives for their temperatures beside the cycles.
+- `Samples` takes the records of the cycles and converts them to rows.
+- `Trouble` detects problems of the arm and raises each problem at the next read.
+- `Thermometer` requests the motor temperatures of the drives while the cycles run.
 
-No particular bus is named here: `AxesRobot` decides on it.
+This module is independent of the type of bus; `AxesRobot` selects the bus.
 """
 
 from __future__ import annotations
@@ -73,40 +74,46 @@ from hil_drivers.cia402.track import Track
 REST_LOOK_S = 0.002
 
 HOTTEST_C = 90.0
-"""Motors hotter than this are not moved: windings stand 120 to 155 °C, grease and sensors less."""
+"""Motor temperature above which the preflight check fails [°C].
+
+Motor windings withstand 120 to 155 °C; grease and sensors withstand less.
+"""
 
 OUTSIDE_RAD = 0.01
-"""A joint that rests at its end may be beyond it by so much [rad]."""
+"""Distance by which a joint at an end stop is allowed to be outside of its range [rad]."""
 
 MOST_OVERRUN = 0.10
-"""Share of cycles that may be late: CSP drives interpolate over one, and fault after a few."""
+"""Maximum share of late cycles: CSP drives bridge one missing set-point, not several."""
 
 
 class Session:
-    """Drives of an arm, from joining the bus to leaving it.
+    """Connection to the drives of an arm, from opening to closing the bus.
 
     Args:
-        name: Of the robot.
+        name: Name of the robot.
         arm: Description of the arm.
-        options: Of the station.
-        bus: Open; it is left when the session ends, or cannot begin.
-        topic: Of the raw rows.
-        torque: The model, where the drives get torques.
+        options: Options of the arm in the station.
+        bus: Open bus; the session closes the bus at its end, or if the session cannot be created.
+        topic: Topic of the raw rows, from `rows.raw_topic`.
+        torque: Torque model of the arm; None if no torques are sent to the drives.
 
     Attributes:
-        acyclic: Objects of the drives.
-        drives: As they were read and set up.
-        core: The cycles.
-        player: Of prepared motions.
-        faults_reset: Faults that the drives were in at connecting, and that were reset.
-        samples: Of the cycles.
-        trouble: Problems of the drives.
-        thermometer: Of the motors.
+        acyclic: Access to the objects of the drives.
+        drives: Drives of the arm after they were read and configured.
+        core: Cyclic exchange.
+        player: Player of prepared motions.
+        faults_reset: Descriptions of the faults that the drives had when connecting, and that the
+            session resets.
+        samples: Reader that returns the rows of the cycles.
+        trouble: Detector of problems of the drives.
+        thermometer: Reader of the motor temperatures.
 
     Raises:
-        RobotConnectionError: Drives are not the station's, or the bus is gone.
-        RobotFault: A drive is in a fault that a person has to remove.
-        RobotTimeout, CommandRefused: A drive does not answer, or does not take a setting.
+        RobotConnectionError: The drives do not match the station, or the connection to the bus is
+            lost.
+        RobotFault: A drive has a fault whose cause an operator must remove.
+        RobotTimeout: A drive does not answer.
+        CommandRefused: A drive does not accept a setting.
     """
 
     def __init__(
@@ -134,14 +141,17 @@ class Session:
         self.thermometer = Thermometer(self.acyclic, options.temperature_object)
 
     def begin(self, go_on: Callable[[], None] = lambda: None) -> None:
-        """Start the cycles, reset faults, enable all axes; they hold where they are.
+        """Start the cycles, reset faults, and enable all axes, which then hold their positions.
 
         Args:
-            go_on: Called before every step; raises to end here.
+            go_on: Callback before every step; an exception from the callback ends the method.
 
         Raises:
-            RobotTimeout, RobotFault, CommandRefused, RobotConnectionError: See `Core`; the last
-                also when measured torques cannot be what holds the arm.
+            RobotTimeout: See `Core`.
+            RobotFault: See `Core`.
+            CommandRefused: See `Core`.
+            RobotConnectionError: The connection to the bus is lost, or the measured torques cannot
+                hold the arm.
         """
         self.core.open()
         go_on()
@@ -158,7 +168,7 @@ class Session:
         self.require_plausible_torques()
         go_on()
         if (mode := MODES[self.options.trajectory_mode]) != od.CSP:
-            # Led by torque, an arm that is only now enabled would fall until the spring holds it.
+            # An arm enabled directly in a torque mode falls until the controller holds it.
             self.core.switch(mode)
             go_on()
         self.thermometer.ask_all()
@@ -166,20 +176,27 @@ class Session:
         go_on()
 
     def require_plausible_torques(self) -> None:
-        """Before torques are sent, compare those that the drives measure with gravity.
+        """Raise if the torques measured by the drives contradict the gravity torques of the model.
+
+        The session checks gravity before the first torque is sent to a drive.
 
         Raises:
-            RobotConnectionError: They cannot hold the arm; with axis and figures.
+            RobotConnectionError: The measured torques cannot hold the arm; the message contains
+                axis and values.
         """
         comparison = None if self.torque is None else self._compare_with_gravity(self.torque)
         if comparison is not None and (wrong := comparison.contradictions):
             raise RobotConnectionError("\n".join(wrong), hint=TORQUE_HINT)
 
     def _compare_with_gravity(self, model: TorqueModel) -> GravityComparison | None:
-        """Measure torques while the axes hold; None where process data do not have 6077h.
+        """Compare the torques measured while the axes hold with the gravity torques of the model.
+
+        Returns:
+            Comparison of the torques; None if the process data do not contain the measured torque
+            (6077h).
 
         Raises:
-            RobotError: See `Core.mean_torque`.
+            RobotError: The torque measurement failed; see `Core.mean_torque`.
         """
         if od.TORQUE not in self.mapping.entries:
             return None
@@ -189,10 +206,10 @@ class Session:
         return GravityComparison(measured, gravity, np.array(arm.effort_max), arm.joint_names)
 
     def hold_anew(self) -> None:
-        """Hold where the arm is, with the torques that its new load needs.
+        """Hold the present position with the holding torques of the new payload.
 
         Raises:
-            CommandRefused: It moves.
+            CommandRefused: The arm moves while the payload is changed.
         """
         if self.torque is None:
             return
@@ -203,10 +220,10 @@ class Session:
         self.core.start()
 
     def findings(self, model: TorqueModel) -> Iterator[Finding]:
-        """Yield the driver's lines of a preflight, with the figures; nothing moves.
+        """Yield the driver's preflight checks, each with its measured value, without any motion.
 
         Args:
-            model: Of the arm with its load, for its gravity torques.
+            model: Torque model of the arm with its payload, for the gravity torques.
         """
         objects = [drive.objects for drive in self.drives.drives]
         kinds = {(o.get("vendor", 0), o.get("product", 0)) for o in objects}
@@ -220,14 +237,14 @@ class Session:
         yield self._limits_finding()
         most = self.drives.max_torque
         limits = " ".join("?" if np.isnan(each) else f"{each:.0f}" for each in most)
-        message = f"drives limit themselves to {limits} N·m (6072h)"
+        message = f"the drives limit their torque to {limits} N·m (6072h)"
         yield Finding("torque-limits", True, message, limits)
         yield self._gravity_finding(model)
         yield self._watchdog_finding()
         yield _temperature_finding(self.core.temperature)
         yield self._cycle_finding()
         if self.faults_reset:
-            message = "reset when connecting: " + "; ".join(map(str, self.faults_reset))
+            message = "faults reset when connecting: " + "; ".join(map(str, self.faults_reset))
             yield Finding("faults-left", True, message, len(self.faults_reset))
 
     def _enabled_finding(self) -> Finding:
@@ -235,8 +252,8 @@ class Session:
         read_back = (
             "6061h, read back in every cycle"
             if self.mapping.carries_mode
-            else "6061h, read back before enabling; mapping "
-            f"{options.mapping} does not carry it since"
+            else "6061h, read back before enabling only, because mapping "
+            f"{options.mapping} does not contain it"
         )
         return Finding(
             "drives-enabled",
@@ -248,15 +265,15 @@ class Session:
         )
 
     def _scaling_finding(self) -> Finding:
-        """Return the resolutions; contradictory scaling has already refused the connection."""
+        """Return the check with the resolutions; contradictory scaling is rejected earlier."""
         scaling = self.drives.scaling
         torque, q = scaling.torque_resolution, scaling.position_resolution
         given = sorted({key for axis in self.options.axes for key in axis} - {"centre_rad"})
-        source = f"by the station: {', '.join(given)}; all else" if given else "all"
+        source = f"{', '.join(given)} from the station, others" if given else "all values"
         message = (
-            f"scaling ({source} by the drives, nothing contradictory): one count of torque is "
-            f"{torque.min():.3g} to {torque.max():.3g} N·m at the joints, one of position "
-            f"{q.max():.2g} rad at most"
+            f"scaling ({source} from the drives, without contradiction): one increment of torque "
+            f"is {torque.min():.3g} to {torque.max():.3g} N·m at the joints, one increment of "
+            f"position is at most {q.max():.2g} rad"
         )
         return Finding("scaling", True, message, float(torque.max()))
 
@@ -265,47 +282,49 @@ class Session:
         makers = limits_of(arm.name)
         used = limits_of(arm.name, drives.reported_limits)
         narrower = float(max((used.q_min - makers.q_min).max(), (makers.q_max - used.q_max).max()))
-        message = "joint range used is no wider than the drives' own (607Dh), which is "
+        message = "the joint range used is within the limits of the drives (607Dh), which are "
         if narrower <= 0:
-            message += "as wide as the maker's"
+            message += "as wide as the manufacturer's"
         else:
-            message += f"narrower than the maker's by up to {narrower:.3f} rad"
+            message += f"up to {narrower:.3f} rad narrower than the manufacturer's"
         if without := int(np.isnan(drives.q_min).sum()):
-            message += f"; {without} of {len(drives.drives)} drives have no limits of their own"
+            message += f"; {without} of {len(drives.drives)} drives have no position limits"
         outside = outside_of(drives.scaling.position(self.player.position), used, arm.joint_names)
         passed = bool((used.q_min < used.q_max).all()) and not outside
         hint = "correct 607Dh in the drives, or axes.offset_deg in the station"
         return Finding("joint-limits", passed, "; ".join([*outside, message]), narrower, hint=hint)
 
     def _gravity_finding(self, model: TorqueModel) -> Finding:
-        """Return whether measured torque can hold the arm; it has to where torques are sent."""
+        """Return the check of measured torques against gravity; required if torques are sent."""
         options, phase = self.options, self.core.phase
         comparison = self._compare_with_gravity(model) if phase is Phase.ENABLED else None
         if comparison is None:
-            message = f"not compared with the arm's weight: mapping {options.mapping}, axes "
+            message = f"torques not compared with gravity: mapping {options.mapping}, axes "
             return Finding("torque-sign", True, message + phase.value, "not compared")
         if wrong := comparison.contradictions:
             needed = options.feed_forward or options.trajectory_mode == "cst"
             message = "; ".join(wrong)
-            message += "" if needed else ". No torque is sent in this mode, but recordings hold it"
+            if not needed:
+                message += ". No torque is sent in this mode, but recordings contain it"
             return Finding("torque-sign", not needed, message, len(wrong), 0, TORQUE_HINT)
         names = [comparison.names[axis] for axis in comparison.compared]
-        message = f"measured torque holds the arm's weight in {', '.join(names)}"
+        message = f"measured torques agree with gravity in {', '.join(names)}"
         if not names:
-            message = "no joint carries enough weight here to tell the sign of its torque"
+            message = "no joint carries enough weight in this pose to check the sign of its torque"
         return Finding("torque-sign", True, message, 0, 0)
 
     def _watchdog_finding(self) -> Finding:
         message = (
-            f"every drive stops by itself when it has not heard of us for {MASTER_SILENCE_MS} ms, "
-            f"or lags by more than {self.options.following_error_deg:g}°; read back"
+            f"every drive stops by itself {MASTER_SILENCE_MS} ms after the last heartbeat of this "
+            f"computer, or if its following error exceeds {self.options.following_error_deg:g}° "
+            "(settings read back)"
         )
         if lacking := sorted({name for each in self.drives.lacking for name in each}):
-            message += f"; not settable: {', '.join(lacking)}"
+            message += f"; not available: {', '.join(lacking)}"
         return Finding("drives-watch", True, message, MASTER_SILENCE_MS / 1000)
 
     def _cycle_finding(self) -> Finding:
-        """Return how punctual the cycles have been since they began."""
+        """Return the preflight check of the share of late cycles since the first cycle."""
         schedule = self.core.schedule
         late, p99 = schedule.overrun / max(schedule.cycles, 1), schedule.lateness.percentile(99)
         message = (
@@ -314,14 +333,14 @@ class Session:
         )
         if losses := self.bus.losses():
             message += f"; {losses}"
-        hint = "free the computer of other work, permit real-time priority, or lower rate_hz"
+        hint = "end other programs on this computer, permit real-time priority, or lower rate_hz"
         return Finding("cycle", late <= MOST_OVERRUN, message, round(late, 4), MOST_OVERRUN, hint)
 
     def leave(self, *, rest_s: float) -> None:
-        """Come to rest, switch all axes off, leave the bus; never raises.
+        """Stop the arm, switch all axes off and close the bus; never raise.
 
         Args:
-            rest_s: How long to wait for the arm to come to rest [s].
+            rest_s: Longest wait for the arm to come to rest [s].
         """
         with contextlib.suppress(HilError):
             self.core.stop(self.options.stop_rad_s2)
@@ -338,11 +357,11 @@ class Session:
     def _set_up(self) -> None:
         try:
             self.acyclic.preoperational()
-            found = inspected(self.acyclic, self.options, self.arm)
-            # Before they watch for this master: the error at the end of that would hide the others.
+            uncommissioned = inspected(self.acyclic, self.options, self.arm)
+            # Read before the drives monitor this master: a lost heartbeat hides earlier errors.
             self.faults_reset: list[LeftFault] = faults_left(self.acyclic)
             require_resettable(self.faults_reset)
-            self.drives: Commissioned = configured(self.acyclic, self.options, found)
+            self.drives: Commissioned = configured(self.acyclic, self.options, uncommissioned)
             self.acyclic.map(self.mapping)
         except BaseException:
             unwatch(self.acyclic)
@@ -405,19 +424,17 @@ class Session:
 
 
 def outside_of(q: FloatArray, limits: Limits, names: Sequence[str]) -> list[str]:
-    """Return, in words, joints outside of their range: the scaling of their drives is wrong.
+    """Return a message for each joint outside of its range, which means wrong scaling.
 
     Args:
         q: (n,) joint positions [rad].
-        limits: Of the arm and its drives.
-        names: Of the joints.
+        limits: Stricter limits of the arm and its drives.
+        names: Names of the joints.
     """
     beyond = (q < limits.q_min - OUTSIDE_RAD) | (q > limits.q_max + OUTSIDE_RAD)
     degrees = np.degrees(np.stack((q, limits.q_min, limits.q_max)))
     return [
-        "{} is at {:.1f}°, outside of its range of {:.1f} to {:.1f}°".format(
-            name, *degrees[:, axis]
-        )
+        "{} is at {:.1f}°, outside its range of {:.1f} to {:.1f}°".format(name, *degrees[:, axis])
         for axis, name in enumerate(names)
         if beyond[axis]
     ]
@@ -426,7 +443,7 @@ def outside_of(q: FloatArray, limits: Limits, names: Sequence[str]) -> list[str]
 def _temperature_finding(celsius: FloatArray) -> Finding:
     known = celsius[np.isfinite(celsius)]
     if not len(known):
-        return Finding("temperatures", True, "the drives tell no temperatures", "not told")
+        return Finding("temperatures", True, "the drives report no temperatures", "not reported")
     values = " ".join("?" if np.isnan(each) else f"{each:.1f}" for each in celsius)
     return Finding(
         "temperatures",
@@ -439,13 +456,13 @@ def _temperature_finding(celsius: FloatArray) -> Finding:
 
 
 class Samples:
-    """State rows for reading, raw rows for recording.
+    """Reader of the cycle records: state rows for the caller and raw rows for the recording.
 
     Args:
-        core: Has the records of the cycles.
-        mapping: Of the process data.
-        topic: Of the raw rows.
-        rows: Makes state rows.
+        core: Source of the cycle records.
+        mapping: Mapping of the process data.
+        topic: Topic of the raw rows, from `rows.raw_topic`.
+        rows: Converter from cycle records to state rows.
         period_s: Device time of a cycle [s].
     """
 
@@ -458,11 +475,11 @@ class Samples:
         self._newest: StructArray | None = None
 
     def take(self, timeout_s: float) -> StructArray:
-        """Return state rows of all cycles since the last call; none if axes have not answered.
+        """Return the state rows since the last call; no rows if axes have not answered.
 
         Raises:
-            RobotTimeout: There was no cycle.
-            RobotConnectionError: The bus is gone.
+            RobotTimeout: No cycle ended within the timeout.
+            RobotConnectionError: The connection to the bus is lost.
         """
         cycles = self._core.take(timeout_s)
         self._raw.append(raw_rows(cycles, self._mapping, self._topic, self._period_s))
@@ -470,24 +487,24 @@ class Samples:
         return self._rows.rows(cycles)
 
     def forget(self) -> None:
-        """Drop all rows so far: the axes were being enabled."""
+        """Drop all rows so far, because these rows belong to the enabling of the axes."""
         self.take(1.0)
         self._raw = []
 
     def drain(self) -> Mapping[str, StructArray]:
-        """Return raw rows since the last call."""
+        """Return the raw rows of all cycles since the last call."""
         raw, self._raw = self._raw, []
         return {TOPIC: np.concatenate(raw)} if raw else {}
 
     @property
     def silent(self) -> Sequence[int]:
-        """Axes that have not answered in the newest cycle."""
+        """Numbers of the axes that have not answered in the newest cycle."""
         flags = 0 if self._newest is None else int(self._newest[0]["flags"]) & INCOMPLETE
         return [axis for axis in range(flags.bit_length()) if flags >> axis & 1]
 
     @property
     def faulty(self) -> Sequence[int]:
-        """Axes that were in fault in the newest cycle, and have answered in it."""
+        """Numbers of the axes that have answered in the newest cycle and reported a fault."""
         if self._newest is None:
             return ()
         silent, words = self.silent, self._newest[0]["statusword"].tolist()
@@ -495,32 +512,32 @@ class Samples:
 
 
 DETAILS_S, DETAILS_LOOK_S = 0.5, 0.005
-"""How long the core may take to gather all messages about a fault, how often it is asked [s]."""
+"""Longest wait until the core has all messages about a fault, and the polling period [s]."""
 
 ASKED_S = 0.1
-"""How long all drives together may take to answer questions about a fault [s]."""
+"""Longest wait for the answers of all drives to the requests about a fault [s]."""
 
 NEXT = (
-    "see to the cause; faults that are for a person are reset by "
+    "remove the cause; reset faults that need an operator with "
     "`python -m hil_drivers.cia402 reset STATION ROBOT`; then run or resume"
 )
 ALL_SILENT = (
-    "all axes at once: see to the bus, its power, its adapter; on a simulated bus the computer is "
-    "too busy: end other programs, or give the station `pace: free`"
+    "all axes at once: check the bus, its power and its adapter; on a simulated bus the computer "
+    "is too busy: end other programs, or set `pace: free` in the station"
 )
 
 
 class Trouble:
-    """Whether the arm obeys; raises each fault once.
+    """Detector of problems of the arm, which raises each fault only one time.
 
     Args:
-        name: Of the robot.
-        core: Has the message of what has stopped the axes.
-        acyclic: Asks the drives themselves.
-        samples: Show which axes are silent or in fault.
+        name: Name of the robot.
+        core: Cyclic exchange, which reports the event that stopped the axes.
+        acyclic: Access to the objects of the drives, for their error codes.
+        samples: Reader whose rows show which axes do not answer or are in fault.
 
     Attributes:
-        is_there: Whether the arm does not obey any more.
+        is_there: Whether a problem has stopped the arm.
     """
 
     def __init__(self, name: str, core: Core, acyclic: Acyclic, samples: Samples) -> None:
@@ -529,7 +546,7 @@ class Trouble:
         self._to_raise = self.is_there = False
 
     def look(self, rows: StructArray) -> None:
-        """Update from rows that were just read and from the core; new trouble stops all axes."""
+        """Update the state from the newest rows and the core; stop all axes at a new problem."""
         known = self.is_there
         if message := self._core.take_problem():
             self._message, self._to_raise, self.is_there = message, True, True
@@ -540,14 +557,15 @@ class Trouble:
 
     @property
     def text(self) -> str:
-        """The problem in words, as far as it is known."""
+        """Message about the problem with all details known so far."""
         return self._message or "a drive is in fault"
 
     def raise_it(self) -> None:
-        """Raise the problem, once.
+        """Raise the problem if it was not raised before.
 
         Raises:
-            RobotFault: With the axis, its error, and the states of the others.
+            RobotFault: A problem has stopped the arm; the message contains the axis, the error of
+                its drive, and the states of the other axes.
         """
         if not self._to_raise:
             return
@@ -561,19 +579,20 @@ class Trouble:
         raise RobotFault(f"{self._name}: {self.text}{self._errors_by_object()}", hint=hint)
 
     def silence(self, within_s: float) -> RobotTimeout:
-        """Return the error for no sample in that time, with the axes that have not answered."""
+        """Return the error that reports a read timeout and the axes that have not answered."""
         names = [self._acyclic.name_of(axis) for axis in self._samples.silent]
         if names:
             return RobotTimeout(
                 f"{self._name}: no answer from {', '.join(names)} within {within_s:g} s",
-                hint="see to those drives and their line",
+                hint="check these drives and their wiring",
             )
         return RobotTimeout(
-            f"{self._name}: no cycle was over within {within_s:g} s", hint="look for a busy machine"
+            f"{self._name}: no cycle ended within {within_s:g} s",
+            hint="check whether the computer is overloaded",
         )
 
     def _errors_by_object(self) -> str:
-        """Ask the drives by object, in words: an EMCY may be lost, or all process data."""
+        """Return the errors as text, read by SDO because EMCYs or process data can be lost."""
         acyclic = self._acyclic
         codes = acyclic.upload_each(od.ERROR_CODE, self._faulty(), ASKED_S)
         words = acyclic.upload_each(od.STATUSWORD, self._samples.silent, ASKED_S)
@@ -584,9 +603,10 @@ class Trouble:
         return "".join(f" ({entry}: {'; '.join(each)})" for entry, each in answers.items() if each)
 
     def _faulty(self) -> Sequence[int]:
-        """Return the axes in fault, by the newest row, else by asking for their statuswords.
+        """Return the axes in fault according to the newest row, or else to statuswords read by SDO.
 
-        A drive sends an EMCY before the process data that show the fault, and rows are read later.
+        The function reads statuswords by SDO, because a drive sends an EMCY before the process data
+        that show the fault, and rows are read later.
         """
         if faulty := self._samples.faulty:
             return faulty
@@ -597,18 +617,21 @@ class Trouble:
 
 
 EVERY_S = 1.0
-"""Time between two questions to the same axis [s]; motors warm up over minutes."""
+"""Time between two temperature requests to the same drive [s]; motors warm up in minutes."""
 
 FIRST_S = 0.2
-"""How long all axes together may take for their first answers [s]."""
+"""Longest wait for the first temperatures of all axes together [s]."""
 
 
 class Thermometer:
-    """Asks for one temperature at a time, in turns; the bus takes the answers (`Bus.celsius`).
+    """Periodic reader of motor temperatures, one axis at a time.
+
+    The received temperatures are stored in `Bus.celsius`.
 
     Args:
-        acyclic: The drives.
-        index: Vendor object of every drive, INTEGER16 in 0.1 °C; 0 where there is none.
+        acyclic: Access to the objects of the drives.
+        index: Index of the manufacturer-specific temperature object in every drive, an INTEGER16 in
+            0.1 °C; 0 if there is no such object.
     """
 
     def __init__(self, acyclic: Acyclic, index: int) -> None:
@@ -617,13 +640,13 @@ class Thermometer:
         self._axis, self._next_s = 0, 0.0
 
     def ask_all(self) -> None:
-        """Ask every axis now, so that the first sample has its temperatures."""
+        """Request the temperatures of all axes, so that the first sample contains temperatures."""
         if self._entry.index:
             self._acyclic.upload_each(self._entry, range(self._acyclic.n), FIRST_S)
             self._next_s = time.monotonic() + EVERY_S / self._acyclic.n
 
     def look(self) -> None:
-        """Ask the next axis if it is time; never raises, does not wait for the answer."""
+        """Request the temperature of the next axis if a request is due; never raise or wait."""
         now = time.monotonic()
         if now < self._next_s or not self._entry.index:
             return

@@ -1,13 +1,14 @@
-"""All axes together: brought through the states of CiA 402 at once, all stopped when one falters.
+"""Supervisor that leads all axes through the CiA 402 states, and stops all if one fails.
 
-`Supervisor.step` runs once a cycle, in the thread that owns the bus. It is pure: what it knows is
-what the drives have answered (`Inputs`, `News`), what it decides goes to `Outputs`; it has no clock
-but the number of cycles. It is in one `Phase` at a time, and `_go_on` says what each phase does
-with the answers. Two helpers have the details: `Judge` finds what is wrong with which axis in one
-cycle's answers, `Complaints` gathers that until it is worth one message.
+`Supervisor.step` runs once a cycle, in the thread that owns the bus. The inputs of `step` are the
+answers of the drives (`Inputs`, `News`), and its outputs are the commands to the drives
+(`Outputs`). Time is measured only by counting cycles. All axes are in one `Phase` at a time, and
+`_go_on` maps each phase to the method that handles the answers. Two helper classes are used:
+`Judge` checks the answers of one cycle for problems, `Complaints` collects the problems for one
+message.
 
-Whatever goes wrong in a phase of `WATCHED` stops all axes by their own quick stop (`BRAKING`): an
-arm of which one joint has failed must not go on with the others.
+Any problem in a phase of `WATCHED` stops all axes with the quick stop of the drives (`BRAKING`),
+because an arm with one failed joint must not move with the others.
 
 | phase                           | event                                             | next phase |
 |---------------------------------|---------------------------------------------------|------------|
@@ -56,7 +57,7 @@ from hil_drivers.cia402.bus import Inputs, News, Outputs
 
 
 class Phase(Enum):
-    """Where all axes together are."""
+    """Common phase of all axes, such as enabling or braking."""
 
     OFF = "off"
     RESETTING = "resetting faults"
@@ -76,42 +77,42 @@ WITHIN_S = {
     Phase.BRAKING: 10.0,
     Phase.DISABLING: 5.0,
 }
-"""How long a phase may take, by device time [s]; releasing brakes takes some of `ENABLING`."""
+"""Maximum duration of each phase in device time [s]; `ENABLING` includes brake release."""
 
 RUNNING = (Phase.ENABLED, Phase.SWITCHING)
-"""The drives follow set-points."""
+"""Phases in which the drives follow set-points."""
 
 WATCHED = (Phase.MODE, Phase.ENABLING, Phase.ENABLED, Phase.SWITCHING, Phase.DISABLING)
-"""Something is on, or about to be: whatever goes wrong stops all axes."""
+"""Phases in which axes are on or about to be switched on; any problem stops all axes."""
 
 SILENT_S = 1.0
-"""How long quick stop is sent to axes that do not answer [s]."""
+"""Duration of sending quick stops to axes that do not answer [s]."""
 
 QUIET = 2
-"""Answers in a row that are missing where the last known state is no news any more."""
+"""Number of consecutive missing answers above which the last state of an axis is outdated."""
 
 TOLD_AFTER_S = 0.05
-"""Time in which further news of the same mishap is gathered into one message [s]."""
+"""Device time during which related problems are collected into one message [s]."""
 
 
 class Supervisor:
-    """Brings all axes through their states: one `step` a cycle, by the cyclic thread.
+    """State machine of all axes together; the cyclic thread calls `step` once per cycle.
 
     Args:
-        nodes: Node ids, for messages; their number is that of the axes.
+        nodes: Node ids of the axes, used in messages.
         period_s: Device time of a cycle [s].
-        outputs: Where it writes controlwords, modes, and preloaded targets.
-        mode_mapped: Whether the process data hold 6060h and 6061h.
-        late_cycles: Cycles in a row that an axis may not answer.
-        braking: Watches quick stops.
-        tracking: Watches whether enabled axes follow their set-points.
-        names: Of the axes, for messages.
+        outputs: Object into which controlwords, modes and preloaded targets are written.
+        mode_mapped: Whether the process data contain the mode objects 6060h and 6061h.
+        late_cycles: Tolerated number of consecutive cycles without an answer of an axis.
+        braking: Monitor of quick stops.
+        tracking: Monitor of the deviation of enabled axes from their set-points.
+        names: Names of the joints, in the order of the axes, for messages.
 
     Attributes:
-        phase: Where the axes are.
-        mode: The mode asked for last.
-        fault_code: EMCY code that the first axis in fault has sent; 0 without a fault.
-        overdue: Whether what stopped the axes last is that a phase took too long.
+        phase: Present phase of the axes.
+        mode: Mode of operation that was requested last.
+        fault_code: EMCY code of the first axis in fault; 0 without a fault.
+        overdue: Whether the last stop was caused by a phase that took too long.
     """
 
     def __init__(
@@ -158,11 +159,11 @@ class Supervisor:
 
     @property
     def complains(self) -> bool:
-        """Whether there is a problem that `take_problem` has not returned yet."""
+        """Whether a problem exists that `take_problem` has not yet returned."""
         return bool(self._complaints)
 
     def enable(self, mode: int) -> None:
-        """Begin to enable all axes in a mode; not while any is enabled."""
+        """Begin to enable all axes, which must be off, in a mode of operation."""
         self._complaints.clear()
         self._let_go.clear()
         self.overdue = False
@@ -171,7 +172,7 @@ class Supervisor:
         self._enter(Phase.MODE)
 
     def switch(self, mode: int) -> None:
-        """Begin to switch the mode of enabled axes at rest, with measured values preloaded."""
+        """Begin to change the mode of enabled axes at rest, with measured values as targets."""
         before, self.mode = self.mode, mode
         outputs, inputs = self._outputs, self._inputs
         if before != od.CSP:
@@ -194,10 +195,10 @@ class Supervisor:
             self._enter(Phase.DISABLING)
 
     def quick_stop(self, why: str = "") -> None:
-        """Brake all axes now, by the drives' own ramps, and switch them off.
+        """Start a quick stop of all axes with the ramps of the drives, then switch the axes off.
 
         Args:
-            why: The problem, for the message; none when empty.
+            why: Problem that is reported in the message; empty for a stop without a problem.
         """
         if why:
             self._complaints.add(None, why, self._cycle)
@@ -207,7 +208,7 @@ class Supervisor:
         self._outputs.controlword[:] = [QUICK_STOP] * self._n
 
     def hear(self, news: News) -> None:
-        """Take messages beside process data; to be called before the `step` of the same cycle."""
+        """Process messages other than process data; call this before `step` of the same cycle."""
         for emergency in news.emergencies:
             self._codes[emergency.axis] = emergency.code
             if emergency.code:
@@ -215,14 +216,14 @@ class Supervisor:
             else:
                 self._complaints.forget(emergency.axis)
         for axis in news.booted:
-            self._complain(axis, "has started anew and lost its configuration")
+            self._complain(axis, "has restarted and lost its configuration")
         for axis in news.silent:
             self._complain(axis, "its heartbeat is overdue")
         if news.bus_error:
             self._complain(None, news.bus_error)
 
     def step(self, inputs: Inputs, cycle: int) -> None:
-        """Judge the answers of the drives, and write the next controlwords and modes."""
+        """Check the answers of the drives and write the next controlwords and modes."""
         self._cycle, self._inputs = cycle, inputs
         judge = self._judge
         if self._tracking and self.phase is Phase.ENABLED:
@@ -243,7 +244,7 @@ class Supervisor:
         judge.settle(inputs, self.phase)
 
     def take_problem(self) -> str:
-        """Return and clear the problem that stopped all axes, with their states; empty if none."""
+        """Return and clear the problem that stopped all axes, with their states; else return ""."""
         waited = self._cycle - self._complaints.since >= TOLD_AFTER_S / self._period_s
         if not self._complaints or not waited:
             return ""
@@ -252,7 +253,7 @@ class Supervisor:
         return self._complaints.take(now)
 
     def _complain(self, axis: int | None, what: str) -> None:
-        """Note it; stop all when anything is on."""
+        """Record a problem of an axis, or of the bus (None); stop all axes in a `WATCHED` phase."""
         if self.phase in WATCHED:
             self._complaints.add(axis, what, self._cycle)
             self.quick_stop()
@@ -261,7 +262,7 @@ class Supervisor:
         elif axis is not None:
             self._complaints.keep(axis, what)
 
-    # -- what comes next, by phase
+    # -- handlers of the phases
 
     def _stay_off(self, inputs: Inputs) -> None:
         self._preload(range(self._n))
@@ -288,7 +289,7 @@ class Supervisor:
             self._give_up(wrong or [axis for axis, is_so in enumerate(ready) if not is_so])
 
     def _go_on_enabling(self, inputs: Inputs) -> None:
-        """Enable the axes together: all wait for the last one at `SWITCHED_ON`."""
+        """Enable the axes together: all axes wait in `SWITCHED_ON` for the last axis."""
         on = (State.SWITCHED_ON, State.ENABLED)
         together = all(state in on for state in self._states)
         words = self._outputs.controlword
@@ -297,7 +298,7 @@ class Supervisor:
             if word == ENABLE and not together:
                 word = SWITCH_ON
             if words[axis] != ENABLE:
-                self._preload((axis,))  # no longer once it may be enabled
+                self._preload((axis,))  # only until enabling is commanded
             words[axis] = word
         if all(state is State.ENABLED for state in self._states):
             self._enter(Phase.ENABLED)
@@ -315,7 +316,7 @@ class Supervisor:
             self._give_up(wrong)
 
     def _brake(self, inputs: Inputs) -> None:
-        """Send quick stop until no axis has current; silent axes may still receive it."""
+        """Send quick stops until no axis carries current; silent axes possibly receive these."""
         carrying = [axis for axis in range(self._n) if self._states[axis] in POWERED]
         self._switch_off_what_does_not_brake(carrying, inputs)
         answering = any(self._judge.answers(axis) for axis in carrying)
@@ -327,7 +328,7 @@ class Supervisor:
             self._steer(Goal.QUICK_STOP)
 
     def _switch_off_what_does_not_brake(self, carrying: list[int], inputs: Inputs) -> None:
-        """Switch off axes that do not brake: better a closing brake than a joint that moves on."""
+        """Disable the voltage of axes that do not brake, so that their mechanical brakes close."""
         self._braking.look(inputs)
         for axis in set(carrying) - self._let_go:
             answers = self._judge.answers(axis)
@@ -344,7 +345,7 @@ class Supervisor:
         elif self._is_overdue():
             self._give_up(left)
 
-    # -- parts of these
+    # -- helpers of the phases
 
     def _enter(self, phase: Phase) -> None:
         self.phase, self._since = phase, self._cycle
@@ -359,7 +360,7 @@ class Supervisor:
         return self._for_s() > WITHIN_S[self.phase]
 
     def _give_up(self, axes: list[int]) -> None:
-        """A phase has taken too long because of these axes."""
+        """Report the axes that made a phase take too long, and stop all axes."""
         inputs, within_s = self._inputs, WITHIN_S[self.phase]
         asks_mode = self.phase in (Phase.MODE, Phase.SWITCHING)
         wrong = self._judge.in_wrong_mode(inputs, self.mode) if asks_mode else []
@@ -367,7 +368,7 @@ class Supervisor:
             what = statusword_text(inputs.statusword[axis])
             if axis in wrong:
                 shown = mode_text(inputs.mode_display[axis])
-                what = f"mode {mode_text(self.mode)} was asked for, it shows {shown}; {what}"
+                what = f"mode {mode_text(self.mode)} was requested, 6061h shows {shown}; {what}"
             text = f"{self.phase.value} took longer than {within_s:g} s: {what}"
             self._complaints.add(axis, text, self._cycle)
         self.overdue = True
@@ -380,7 +381,7 @@ class Supervisor:
             words[axis] = DISABLE_VOLTAGE
 
     def _preload(self, axes: tuple[int, ...] | range) -> None:
-        """Targets are where the axes are: nothing jumps when they are enabled."""
+        """Set the targets to the measured positions, so that no axis jumps when it is enabled."""
         outputs, inputs = self._outputs, self._inputs
         for axis in axes:
             outputs.target_position[axis] = inputs.position[axis]
@@ -389,22 +390,22 @@ class Supervisor:
 
 
 FOLLOWS_WITHIN_S = 0.1
-"""How long after enabling or switching bit 12 may stay low [s]."""
+"""Time after enabling or a mode change in which bit 12 of the statusword can be low [s]."""
 
 BEHIND_TIMES = 3
-"""Times `late_cycles` for which an axis may be behind: its answers come, but to older SYNCs."""
+"""Tolerated number of cycles, in `late_cycles`, in which answers belong to older SYNCs."""
 
 
 class Judge:
-    """Finds problems of the axes in the answers of one cycle.
+    """Detector of problems of the axes in the answers of one cycle.
 
     Args:
-        n: Axes.
-        mode_mapped: Whether the process data hold 6060h and 6061h.
-        late_cycles: Cycles in a row that an axis may not answer.
+        n: Number of axes.
+        mode_mapped: Whether the process data contain the mode objects 6060h and 6061h.
+        late_cycles: Tolerated number of consecutive cycles without an answer of an axis.
 
     Attributes:
-        missed: Per axis, cycles in a row that it has not answered.
+        missed: Number of consecutive cycles without an answer, per axis.
     """
 
     def __init__(self, n: int, mode_mapped: bool, late_cycles: int) -> None:
@@ -415,18 +416,21 @@ class Judge:
         self._calm: list[int] = []
 
     def enter(self, phase: Phase) -> None:
-        """A phase begins: bit 12 has time again."""
+        """Start a phase, in which bit 12 of the statusword can be low for `FOLLOWS_WITHIN_S`."""
         self._follows, self._calm = [False] * self._n, []
         if phase is Phase.MODE:
             self.missed, self._behind = [0] * self._n, [0] * self._n
 
     def answers(self, axis: int) -> bool:
-        """Whether an axis has answered lately."""
+        """Return whether an axis has answered recently."""
         most = self._late_cycles
         return self.missed[axis] <= most and self._behind[axis] <= BEHIND_TIMES * most
 
     def is_calm(self, inputs: Inputs, mode: Sequence[int]) -> bool:
-        """Nothing is other than when all was well; saves looking at every axis."""
+        """Return whether statuswords and modes equal those of the last fault-free cycle.
+
+        With this comparison, the check of every single axis is not needed in most cycles.
+        """
         return (
             inputs.statusword == self._calm
             and inputs.fresh == self._all_fresh
@@ -434,7 +438,7 @@ class Judge:
         )
 
     def count(self, inputs: Inputs) -> None:
-        """Who has answered; once a cycle."""
+        """Count missing and late answers per axis; call once a cycle."""
         self.missed = [
             0 if came or late else missed + 1
             for came, late, missed in zip(inputs.fresh, inputs.late, self.missed, strict=True)
@@ -445,23 +449,23 @@ class Judge:
         ]
 
     def settle(self, inputs: Inputs, phase: Phase) -> None:
-        """Note, once all has followed from these answers, whether nothing is left to change."""
+        """Store the statuswords for `is_calm` if all axes follow their set-points on time."""
         well = phase is Phase.ENABLED and all(self._follows) and not any(self._behind)
         self._calm = inputs.statusword.copy() if well else []
 
     def judge(
-        self, inputs: Inputs, found: Sequence[State], phase: Phase, mode: int, for_s: float
+        self, inputs: Inputs, states: Sequence[State], phase: Phase, mode: int, for_s: float
     ) -> Iterator[tuple[int, str]]:
-        """Yield the axes that are not as expected, each with the problem.
+        """Yield the number of each axis with a problem, and the problem as text.
 
         Args:
-            inputs: Of this cycle.
-            found: Per axis, what its statusword says.
-            phase: Of all axes, since `for_s` [s].
-            mode: That they are to be in.
-            for_s: See `phase`.
+            inputs: Answers of the drives in this cycle.
+            states: State of each axis according to its statusword.
+            phase: Phase of all axes.
+            mode: Required mode of operation.
+            for_s: Device time since the phase began [s].
         """
-        for axis, state in enumerate(found):
+        for axis, state in enumerate(states):
             word = inputs.statusword[axis]
             if not self.answers(axis):
                 yield axis, self._silence(axis)
@@ -470,7 +474,7 @@ class Judge:
             elif phase in RUNNING and state is not State.ENABLED:
                 yield axis, f"has left operation enabled: {statusword_text(word)}"
             elif phase is Phase.ENABLED and self._is_in_wrong_mode(axis, inputs, mode):
-                yield axis, f"has left mode {mode_text(mode)} on its own"
+                yield axis, f"has left mode {mode_text(mode)} without a command"
             elif phase is Phase.ENABLED and not self._follows_now(axis, word, for_s):
                 yield axis, f"ignores set-points (bit 12 low): {statusword_text(word)}"
 
@@ -480,14 +484,14 @@ class Judge:
         return f"has answered none of {self._behind[axis]} SYNCs in time"
 
     def in_wrong_mode(self, inputs: Inputs, mode: int) -> list[int]:
-        """Axes that show another mode."""
+        """Return the axes whose drives show a mode other than the requested mode."""
         return [a for a in range(self._n) if self._is_in_wrong_mode(a, inputs, mode)]
 
     def _is_in_wrong_mode(self, axis: int, inputs: Inputs, mode: int) -> bool:
         return self._mode_mapped and inputs.mode_display[axis] != mode
 
     def _follows_now(self, axis: int, word: int, for_s: float) -> bool:
-        """Once bit 12 has been high it has to stay so."""
+        """Return whether an axis follows set-points: bit 12 must remain high after it was high."""
         if word & FOLLOWS_COMMAND:
             self._follows[axis] = True
             return True
@@ -495,24 +499,26 @@ class Judge:
 
 
 STOPPED = "All axes were stopped"
-TOLD = "All axes were told to stop"
-UNKNOWN = "not known to have stopped"
+STOP_SENT = "A stop was sent to all axes"
+UNKNOWN = "stop not confirmed"
 NONE_ANSWERS = (
-    "No axis answers: quick stop may not arrive, but without a master drives stop by themselves"
+    "No axis answers: the quick stop possibly does not arrive, but the drives stop by themselves "
+    "without the heartbeat of the master"
 )
 
 _MOVING = (None, State.ENABLED, State.UNKNOWN)
-"""States in which nothing says that an axis brakes or is off; None: it does not answer."""
+"""States that do not prove that an axis brakes or is off; None for an axis without answer."""
 
 
 class Complaints:
-    """Collects the problems that made all axes stop, until they are worth one message.
+    """Collection of the problems that stopped all axes, which are returned in one message.
 
     Args:
-        names, nodes: Of the axes.
+        names: Names of the axes.
+        nodes: Node ids of the axes.
 
     Attributes:
-        since: Cycle of the first one.
+        since: Number of the cycle in which the first problem was added.
     """
 
     def __init__(self, names: Sequence[str], nodes: Sequence[int]) -> None:
@@ -527,11 +533,11 @@ class Complaints:
         return bool(self._of_bus or self._of_axes)
 
     def clear(self) -> None:
-        """Forget the problems; explanations that were kept stay."""
+        """Clear all problems, but not the explanations stored by `keep`."""
         self._of_bus, self._of_axes = [], {}
 
     def add(self, axis: int | None, what: str, cycle: int) -> None:
-        """Note it, once; no axis when it is the bus or all of them."""
+        """Add a problem if it is new; `axis` is None for a problem of the bus or of all axes."""
         if not self:
             self.since = cycle
         known = self._of_bus if axis is None else self._of_axes.setdefault(axis, [])
@@ -541,29 +547,29 @@ class Complaints:
             known.append(what)
 
     def keep(self, axis: int, what: str) -> None:
-        """Keep something that stops nothing now but may explain a later problem."""
+        """Store an event that stops nothing now but possibly explains a later problem."""
         self._before[axis] = what
 
     def forget(self, axis: int) -> None:
-        """Forget what was kept of an axis whose errors are gone."""
+        """Drop the stored event of an axis whose errors are gone."""
         self._before.pop(axis, None)
 
     def take(self, states: Sequence[State | None]) -> str:
-        """All in one message, the state of the other axes with it; nothing is left then.
+        """Return a message with all problems and the states of the other axes; clear the problems.
 
         Args:
-            states: Per axis, None where it does not answer.
+            states: State of each axis; None for an axis that does not answer.
         """
         parts = list(self._of_bus)
         parts += [
             f"{self._axes[axis]}: {'; '.join(whats)}" for axis, whats in self._of_axes.items()
         ]
-        told, fate = "; ".join(parts), self._fate(states)
+        problems, fate = "; ".join(parts), self._fate(states)
         self.clear()
-        return f"{told}. {fate}" if fate else told
+        return f"{problems}. {fate}" if fate else problems
 
     def _fate(self, states: Sequence[State | None]) -> str:
-        """Return the state of the other axes; only a statusword counts as a stop."""
+        """Return the states of all axes without a problem as text."""
         if not any(states):
             return NONE_ANSWERS
         moving = [axis for axis, state in enumerate(states) if state in _MOVING]
@@ -574,4 +580,4 @@ class Complaints:
         if moving:
             others[UNKNOWN] = [self._names[axis] for axis in moving]
         by_state = [f"{', '.join(names)}: {state}" for state, names in others.items()]
-        return "; ".join([TOLD if moving else STOPPED, *by_state]) if by_state else ""
+        return "; ".join([STOP_SENT if moving else STOPPED, *by_state]) if by_state else ""

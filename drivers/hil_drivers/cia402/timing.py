@@ -1,9 +1,9 @@
-"""When cycles begin and how punctual they are.
+"""Start times of cycles, and statistics of their punctuality.
 
-`Schedule` begins cycles at absolute times, never in bursts, and counts those that came late in a
-`Histogram`. `Stalls` finds gaps between SYNCs, however they came about: drives that miss one
-extrapolate or stand still. `realtime` asks the kernel and the interpreter for what a punctual
-thread needs, and says what was not permitted.
+`Schedule` starts cycles at absolute times, never in bursts, and counts late cycles. A `Histogram`
+stores by how much the cycles were late. `Stalls` detects gaps between SYNCs, whatever the cause.
+Drives that miss a SYNC extrapolate or stop. `realtime` configures kernel and interpreter for a
+punctual thread, and reports settings that were not permitted.
 """
 
 from __future__ import annotations
@@ -18,34 +18,40 @@ from array import array
 from collections.abc import Callable, Iterator
 
 LATE_SHARE = 0.25
-"""Share of a period by which a cycle may begin late; beyond it, it counts, and times shift."""
+"""Share of a period by which a cycle can begin late without counting as late.
+
+After a cycle that counts as late, all later start times shift.
+"""
 
 GIVE_UP_SHARE = 0.9
-"""Share of a period after which answers are not waited for any longer."""
+"""Share of a period after which the wait for the answers of a cycle ends."""
 
 FREE_PATIENCE_S = 0.25
-"""How long answers are waited for without deadlines [s]."""
+"""Longest wait for answers if cycles have no deadlines [s]."""
 
 FREE_MISSES, FREE_IMPATIENCE_S = 2, 0.01
-"""After so many incomplete cycles in a row answers are waited for only so long [s]: who does not
-answer must not turn seconds of device time into minutes."""
+"""Number of consecutive incomplete cycles, and shorter wait for answers after these [s].
+
+Because of the shorter wait, a silent drive does not stretch seconds of device time to minutes.
+"""
 
 
 class Schedule:
-    """Wall times of cycles.
+    """Schedule of the start times of cycles, in wall time.
 
     Args:
-        wall_period_s: From SYNC to SYNC [s]; 0 to begin as soon as the last one is over.
-        clock: Of the wall, `time.monotonic`.
+        wall_period_s: Time from SYNC to SYNC [s]; 0 to start each cycle at the end of the cycle
+            before.
+        clock: Clock of wall time, by default `time.monotonic`.
 
     Attributes:
-        deadline: When the present cycle was to begin [s, clock].
-        give_up: When its answers are not waited for any longer [s, clock].
-        cycles: Begun since `restart`.
-        late: That began late by more than `LATE_SHARE`.
-        overrun: That were not over when the next one was to begin, or began late.
-        lateness: How late cycles began.
-        lasting: How long their exchanges took.
+        deadline: Scheduled start of the present cycle [s, clock].
+        give_up: Time at which the wait for the answers of the present cycle ends [s, clock].
+        cycles: Number of cycles begun since `restart`.
+        late: Number of cycles that began late by more than `LATE_SHARE` of the period.
+        overrun: Number of cycles that began late or did not end before the next scheduled start.
+        lateness: Histogram of the delays of cycle starts.
+        lasting: Histogram of the durations of the exchanges.
     """
 
     def __init__(
@@ -59,19 +65,19 @@ class Schedule:
         self.restart()
 
     def restart(self) -> None:
-        """Forget earlier cycles; the next one begins at once."""
+        """Clear the statistics; the next cycle begins immediately."""
         self.cycles = self.late = self.overrun = 0
         self.lateness, self.lasting = Histogram(), Histogram()
         self.deadline = self._clock() - self._period
 
     def wait(self, idle: Callable[[float], None]) -> bool:
-        """Wait until the next cycle is to begin; return whether it begins late.
+        """Wait until the next cycle is due; return whether it begins late.
 
-        After a late one the times shift: two cycles are never closer than the period less
-        `LATE_SHARE` of it, whatever was lost.
+        After a late cycle the later start times shift. Therefore the time between two cycles is
+        never shorter than (1 − `LATE_SHARE`) of the period.
 
         Args:
-            idle: Returns at a time of the clock; called even when it is over.
+            idle: Function that waits until a passed time of the clock; also called with past times.
         """
         deadline = self.deadline + self._period
         idle(deadline)
@@ -88,14 +94,18 @@ class Schedule:
         return self._late
 
     def answered(self, all_came: bool) -> None:
-        """The present cycle has all answers, or not; counts without deadlines only."""
+        """Adapt the wait for answers to incomplete cycles, if cycles have no deadlines.
+
+        Args:
+            all_came: Whether all answers of the present cycle were received.
+        """
         self._incomplete = 0 if all_came else self._incomplete + 1
         if not self._period:
             patient = self._incomplete < FREE_MISSES
             self._patience = FREE_PATIENCE_S if patient else FREE_IMPATIENCE_S
 
     def done(self) -> None:
-        """The exchange of the present cycle is over, and all that follows from it."""
+        """Record the duration of the present cycle, after its exchange and all processing."""
         now = self._clock()
         self.lasting.add(now - self._begun)
         if self._late or (self._period and now > self.deadline + self._period):
@@ -103,13 +113,13 @@ class Schedule:
 
 
 class Histogram:
-    """Times from 0 on, to the microsecond.
+    """Histogram of durations, with a resolution of 1 µs.
 
     Args:
-        most_s: Longer ones count as so long; `longest_s` has them [s].
+        most_s: Upper end of the histogram [s]; longer durations count as `most_s`.
 
     Attributes:
-        longest_s: The longest one [s].
+        longest_s: Longest duration so far [s], not limited by `most_s`.
     """
 
     def __init__(self, most_s: float = 0.05) -> None:
@@ -128,7 +138,11 @@ class Histogram:
         return sum(self._bins)
 
     def percentile(self, percent: float) -> float:
-        """So many percent of the times are no longer [s]; 0 when there are none."""
+        """Return a percentile of the durations [s]; 0 without durations.
+
+        Args:
+            percent: Percentage of the durations that are not longer than the returned value.
+        """
         left = max(len(self) * percent / 100.0, 1e-9)
         for at, count in enumerate(self._bins):
             left -= count
@@ -138,20 +152,22 @@ class Histogram:
 
 
 LATE_PERIODS = 1.5
-"""Periods from SYNC to SYNC from which on what is measured around it is not to be used: the arm was
-not where the set-points that the record pairs with it say."""
+"""Length of a gap between two SYNCs, in periods, from which nearby measurements are invalid.
+
+During a longer gap the arm was not at the set-points that the record pairs with the measurements.
+"""
 
 TOLD_AFTER_S = 0.06
-"""How long a stall waits to be told [s]: what the drives say of it comes with it."""
+"""Delay of the message about a gap [s], so that the message includes the drives' messages."""
 
 
 class Stalls:
-    """Gaps between SYNCs, where the pace is the wall's; without deadlines nothing is late.
+    """Detector of gaps between SYNCs, for cycles in real time.
 
     Args:
-        period_s: From SYNC to SYNC [s].
-        late_cycles: Periods of a gap after which a motion is not gone on with.
-        real: The pace is the wall's.
+        period_s: Time from SYNC to SYNC [s].
+        late_cycles: Length of a gap, in periods, after which a motion must not continue.
+        real: Whether device time equals wall time; if False, no gap is detected.
     """
 
     def __init__(self, period_s: float, late_cycles: int, *, real: bool) -> None:
@@ -161,14 +177,14 @@ class Stalls:
         self._gap_s = 0.0
 
     def restart(self) -> None:
-        """The next SYNC is the first."""
+        """Forget the last SYNC, so that the next SYNC counts as the first."""
         self._last_s = None
 
     def synced(self, now_s: float) -> bool:
-        """A SYNC went out; whether much later than it was to.
+        """Record a SYNC; return whether the gap before it exceeds `LATE_PERIODS` periods.
 
         Args:
-            now_s: When, of any clock that does not jump.
+            now_s: Time of the SYNC on a clock that does not jump [s].
         """
         last_s, self._last_s = self._last_s, now_s
         self._gap_s = now_s - last_s if self._real and last_s is not None else 0.0
@@ -176,38 +192,41 @@ class Stalls:
 
     @property
     def too_long(self) -> bool:
-        """Whether the motion must not go on after the last gap as if nothing had been."""
+        """Whether the last gap was so long that a motion must be stopped."""
         return self._gap_s > self._late_s and self._gap_s >= self._long_s
 
     @property
     def text(self) -> str:
-        """The last gap in words."""
+        """Description of the last gap for messages."""
         return (
-            f"our computer was held up: there was no SYNC for {1e3 * self._gap_s:.3g} ms, "
-            f"{self._gap_s / self._period_s:.0f} periods (busy machine, no real-time priority?)"
+            f"this computer was delayed: it sent no SYNC for {1e3 * self._gap_s:.3g} ms, "
+            f"{self._gap_s / self._period_s:.0f} periods (busy computer, no real-time priority?)"
         )
 
 
 PRIORITY = 50
-"""Of SCHED_FIFO: above ordinary work, below the kernel's own threads."""
+"""SCHED_FIFO priority of the cycle thread: above ordinary work, below the kernel's threads."""
 
 SWITCH_S = 2e-4
-"""How long another Python thread may keep the interpreter from ours; 5 ms unless told [s]."""
+"""Time after which another Python thread must release the interpreter [s].
+
+The default of Python for this time is 5 ms.
+"""
 
 SOON_NICE = -10
 
 SLACK_NS = 1_000
-"""By how much the kernel may wake us late to save wake-ups; 50 µs unless told."""
+"""Timer slack [ns]: delay with which the kernel can wake the thread; the default is 50 µs."""
 
 
 @contextlib.contextmanager
 def realtime() -> Iterator[list[str]]:
-    """Make the calling thread punctual while the block runs, as far as permitted.
+    """Make the calling thread punctual while the `with` block runs, as far as permitted.
 
-    Garbage is not collected at times of its own choosing: the thread calls `gc.collect` itself.
+    Automatic garbage collection is off in the `with` block: the thread calls `gc.collect` itself.
 
     Yields:
-        What was not permitted, in words; empty when all was.
+        Text with the settings that were not permitted; empty if all settings were permitted.
     """
     refused = _scheduled_first()
     _exact_timers()
@@ -246,9 +265,10 @@ def _exact_timers() -> None:
 
 
 def _others_sooner() -> dict[int, int]:
-    """Let the other threads of this process run soon; return their earlier niceness.
+    """Raise the priority of the other threads of this process; return their former niceness.
 
-    One that has the interpreter and not the processor keeps ours waiting, whatever its priority.
+    A thread that holds the interpreter lock but waits for the processor blocks the cycle thread,
+    whatever the priority of the cycle thread.
     """
     before: dict[int, int] = {}
     for name in os.listdir("/proc/self/task") if os.path.isdir("/proc/self/task") else ():
@@ -260,5 +280,5 @@ def _others_sooner() -> dict[int, int]:
 
 def _set_nice(values: dict[int, int]) -> None:
     for thread, value in values.items():
-        with contextlib.suppress(OSError):  # it has ended, or it is not permitted
+        with contextlib.suppress(OSError):  # the thread has ended, or the change is not permitted
             os.setpriority(os.PRIO_PROCESS, thread, value)

@@ -1,9 +1,9 @@
-"""Joint torques of a motion or a pose, by a rigid-body model of the arm and its load.
+"""Joint torques of a motion or a pose from a rigid-body model of the arm and its payload.
 
-Drives get them ahead of their own loops: as an offset in CSP (60B2h), as the set-point in CST
-(6071h). Before any torque is sent, `GravityComparison` compares the torques that the drives measure
-while they hold the arm with the model's gravity torques: a wrong sign or scale shows there, and
-nothing moves because of it.
+The torques are feed-forward values for the drives: a torque offset in CSP (60B2h), the torque
+set-point in CST (6071h). Before any torque is sent, `GravityComparison` compares the torques that
+the drives measure while they hold the arm with the gravity torques of the model. The comparison
+detects a wrong sign or scale of torque without any motion.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ GRAVITY = (0.0, 0.0, -9.81)
 
 
 class TorqueModel:
-    """Inverse dynamics without friction, and without rotors unless a URDF's model has them.
+    """Inverse dynamics without friction; rotor inertia is included only if a URDF contains it.
 
     Args:
-        model: Built-in arm of the station.
-        urdf: Path of a better model of this very arm; the built-in one when empty.
-        gravity: (3,) in the base frame [m/s²], by which the mounting of the arm is given.
+        model: Name of the station's built-in arm.
+        urdf: Path of a URDF with a more accurate model of the arm; empty for the built-in model.
+        gravity: (3,) gravity vector in the base frame [m/s²], which describes how the arm is
+            mounted.
 
     Raises:
-        SpecError: The URDF cannot be used, or has another number of joints.
+        SpecError: The URDF is invalid or has a different number of joints.
     """
 
     def __init__(
@@ -40,11 +41,11 @@ class TorqueModel:
         self._loaded = self._bare
 
     def mount(self, payload: Payload) -> None:
-        """Replace the load."""
+        """Replace the payload."""
         self._loaded = self._bare.with_payload(payload)
 
     def torque(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Return (N, n) joint torques [N·m] for a motion, each argument (N, n)."""
+        """Return (N, n) joint torques [N·m] of a motion; every argument has the shape (N, n)."""
         return self._loaded.inverse_dynamics(q, qd, qdd)
 
     def holding(self, q: FloatArray) -> FloatArray:
@@ -58,36 +59,39 @@ def _robot_model(model: str, urdf: str, gravity: tuple[float, float, float]) -> 
     robot = RobotModel.from_urdf(Path(urdf), gravity=gravity)
     if model in arm_names() and robot.n != RobotModel.from_arm(model).n:
         raise SpecError(
-            f"{urdf} has {robot.n} joints, a {model} has {RobotModel.from_arm(model).n}",
-            hint="give the URDF of this arm, without gripper and external axes",
+            f"{urdf} has {robot.n} joints, the model {model} has {RobotModel.from_arm(model).n}",
+            hint="use the URDF of this arm, without gripper and external axes",
         )
     return robot
 
 
 NOTICEABLE = 0.10
-"""Share of the joint's largest torque: smaller gravity torques are not distinguished from friction.
+"""Minimum gravity torque for the comparison, as a share of the joint's largest torque.
+
+A gravity torque below this share cannot be distinguished from friction.
 """
 
 FRICTION = 0.06
-"""Share of the joint's largest torque that stick friction may add or take."""
+"""Assumed static friction torque in the comparison, as a share of the joint's largest torque."""
 
 TIMES = 3.0
-"""Factor by which models, loads and rated torques may be wrong."""
+"""Tolerated factor between measured and modelled torque, due to model, payload, rated torque."""
 
 HINT = (
-    "look at polarity (607Eh bit 5), axes.direction, rated_torque_nm and offset_deg, at the load "
-    "and at how the arm is mounted (gravity)"
+    "check polarity (607Eh bit 5), axes.direction, rated_torque_nm and offset_deg, the payload, "
+    "and how the arm is mounted (gravity)"
 )
 
 
 @dataclass(frozen=True)
 class GravityComparison:
-    """Measured torques of an arm that is held still, compared with its gravity torques.
+    """Comparison of measured torques of an arm at standstill with its gravity torques.
 
     Attributes:
-        measured, gravity: (n,) joint torques of the drives and of the model [N·m].
+        measured: (n,) joint torques measured by the drives [N·m].
+        gravity: (n,) joint torques of the model [N·m].
         effort_max: (n,) largest joint torques [N·m].
-        names: Of the joints.
+        names: Names of the joints.
     """
 
     measured: FloatArray
@@ -97,16 +101,16 @@ class GravityComparison:
 
     @property
     def compared(self) -> list[int]:
-        """Axes whose gravity torque is large enough to be compared."""
+        """Numbers of the axes whose gravity torque is large enough to be compared."""
         heavy = np.abs(self.gravity) > NOTICEABLE * self.effort_max
         return [int(axis) for axis in np.flatnonzero(heavy)]
 
     @property
     def contradictions(self) -> list[str]:
-        """For each axis whose measured torque cannot hold the arm: name, figures and reason."""
+        """One message, with values and reason, for each axis whose torque cannot hold the arm."""
         return [
-            f"{self.names[axis]} measures {self.measured[axis]:.1f} N·m where "
-            f"{self.gravity[axis]:.1f} N·m hold the arm: {why}"
+            f"{self.names[axis]} measures {self.measured[axis]:.1f} N·m, but gravity needs "
+            f"{self.gravity[axis]:.1f} N·m: {why}"
             for axis in self.compared
             if (why := self._wrong(axis))
         ]

@@ -1,7 +1,8 @@
-"""A segment as the drives take it: checked, in their integers, one row per cycle.
+"""Segment of a plan, checked and converted to the drives' integers, one row per cycle.
 
-If the segment begins a little beside the held set-point, because a brake gave or a spring left the
-arm there, the track first moves to the segment's start, in at least `REACHED_S`.
+A segment can begin at a small distance from the held set-point, because a brake slipped, or because
+friction stops an arm under position control by the master beside its set-point. In this case the
+track first moves to the start of the segment, in at least `REACHED_S`.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from hil_drivers.cia402.torque import TorqueModel
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A motion as the drives take it, one row per cycle.
+    """Motion in the drives' integers, one row per cycle.
 
     Attributes:
-        segment: Index of the plan's step.
-        position: (N, n) of 607Ah, N ≥ 1; begins where the drives hold.
-        velocity: (N, n) of 60FFh.
-        torque: (N, n) feed-forward, ‰ as 6071h and 60B2h.
-        holding: (N, n) what would hold the arm still there, in the same unit.
+        segment: Index of the step of the plan.
+        position: (N, n) raw target positions (607Ah), N ≥ 1; the first row is the held position.
+        velocity: (N, n) velocities (60FFh).
+        torque: (N, n) feed-forward torques [‰ of rated torque], as in 6071h and 60B2h.
+        holding: (N, n) torques that hold the arm static at the same positions [‰ of rated torque].
     """
 
     segment: int
@@ -39,12 +40,12 @@ class Track:
 
     @cached_property
     def rows(self) -> list[tuple[list[int], list[int], list[int], list[int]]]:
-        """Position, velocity, torque and holding torque row by row, as plain integers."""
+        """Rows of position, velocity, torque and holding torque as plain integers."""
         columns = (self.position, self.velocity, self.torque, self.holding)
         return list(zip(*(column.tolist() for column in columns), strict=True))
 
     def between(self, at: float) -> tuple[list[int], list[int], list[int], list[int]]:
-        """Return a row at a place between rows, counted from 0."""
+        """Return a row interpolated between two rows; `at` is the row number with its fraction."""
         row = int(at)
         last = len(self.rows) - 1
         if row >= last:
@@ -61,7 +62,7 @@ class Track:
         return position, velocity, torque, holding
 
     def steps_at(self, at: float) -> list[int]:
-        """Increments of position per row from a place on; zeros at the end."""
+        """Return the position differences from row `at` to the next row; zeros at the last row."""
         row = int(at)
         if row >= len(self.rows) - 1:
             return [0] * len(self.rows[0][0])
@@ -71,17 +72,26 @@ class Track:
 
 
 BEGINS_WITHIN_RAD = 1e-4
-"""Largest distance from the held set-point to a segment's first row; drives do not smooth it."""
+"""Largest distance from the held set-point to a segment's first row [rad].
+
+Drives do not smooth the step from the held set-point to the first row.
+"""
 
 GIVEN_RAD = 2e-3
-"""A brake may give when its axis is switched on, after the plan was made. Before the first motion
-this much is corrected; between motions a correction would hide a mistake."""
+"""Largest distance from the held set-point to the segment's start, before the first motion [rad].
+
+After the plan was made, a brake can slip when its axis is switched on. The arm moves to the start
+only before the first motion; between motions a correction would hide an error.
+"""
 
 LED_RAD = 0.05
-"""Led by a spring (CST, CSV), an arm rests beside its set-point, where friction keeps it."""
+"""Largest distance from the held set-point to the segment's start in CST and CSV [rad].
+
+Under position control by the master, friction keeps an arm beside its set-point.
+"""
 
 REACHED_S = 0.4
-"""Least duration of the way to the segment's start [s]."""
+"""Minimum duration of the motion from the held set-point to the segment's start [s]."""
 
 
 def track_of(
@@ -95,20 +105,23 @@ def track_of(
     led: bool = False,
     first: bool = False,
 ) -> Track:
-    """A segment that can be executed, in the drives' integers.
+    """Check a segment and convert it to the drives' integers.
 
     Args:
-        segment: The next one.
-        limits: Of the arm.
-        standing: (n,) the set-point that is held [rad].
-        rate_hz: Rows per second of device time.
-        scaling: Of the drives.
-        model: Says the feed-forward torque; none is sent without.
-        led: The master closes the position loop; the segment may begin `LED_RAD` from there.
-        first: Nothing has moved since the axes were switched on; a brake may have given.
+        segment: Next segment.
+        limits: Position, speed, acceleration and torque limits of the arm.
+        standing: (n,) joint positions that the arm holds before the segment [rad].
+        rate_hz: Number of rows per second of device time [Hz].
+        scaling: Scaling of the drives.
+        model: Torque model for the feed-forward torque; None for zero torques.
+        led: Whether the master closes the position loop; if True, the segment can begin at a
+            distance of up to `LED_RAD`.
+        first: Whether this is the first motion since the axes were switched on, so that a brake
+            possibly slipped.
 
     Raises:
-        CommandRefused: It leaves the limits, jumps, begins elsewhere or moves at its ends.
+        CommandRefused: The segment leaves the limits, jumps, does not begin at the held set-point,
+            or has a speed other than 0 at its first or last sample.
     """
     moves = segment.kind != "hold"
     tolerance = LED_RAD if led else GIVEN_RAD if first and moves else BEGINS_WITHIN_RAD
@@ -133,10 +146,11 @@ def track_of(
 def _approach(
     start: FloatArray, end: FloatArray, limits: Limits, rate_hz: float
 ) -> tuple[FloatArray, ...]:
-    """Return (N, n) positions, velocities, accelerations from rest to rest within the limits.
+    """Return (N, n) positions, velocities, accelerations from rest to rest, within the limits.
 
-    The polynomial of degree 5 has its highest speed, 15/8 of the mean one, in the middle, and its
-    highest acceleration, 10/√3 of way / time², at (3 ± √3) / 6 of the time.
+    The motion is a polynomial of degree 5. The highest speed, 15/8 of the mean speed, is in the
+    middle of the motion. The highest acceleration, 10/√3 of distance / time², is at (3 ± √3) / 6 of
+    the duration.
     """
     way = end - start
     fast = (15 / 8 * np.abs(way) / limits.qd_max).max()
@@ -150,35 +164,35 @@ def _approach(
 
 
 ACCELERATION_SLACK = 1.10
-"""Second differences of sampled polynomials and rounded positions may be that much more."""
+"""Tolerance factor of accelerations, which covers second differences of sampled polynomials."""
 
 ROUNDING_RAD = 1e-8
-"""Rounding error of a position; second differences add up to four of it."""
+"""Rounding error of a position [rad]; second differences contain up to four of these errors."""
 
 
 def require_smooth(segment: Segment, limits: Limits, rate_hz: float) -> None:
-    """Refuse positions between which drives would jump.
+    """Raise if the positions of a segment require jumps of the drives.
 
     Args:
-        segment: The next one.
-        limits: Of the arm.
-        rate_hz: Rows per second of device time.
+        segment: Next segment.
+        limits: Position, speed, acceleration and torque limits of the arm.
+        rate_hz: Number of rows per second of device time [Hz].
 
     Raises:
-        CommandRefused: Positions are farther apart than the fastest speed, bend more than the
-            highest acceleration, do not begin and end at rest; or a hold moves.
+        CommandRefused: The positions require more than the maximum speed or acceleration, or do not
+            begin and end at rest; or a hold has more than one row.
     """
     if segment.kind == "hold" and len(segment.q) != 1:
-        raise refused(f"{_where(segment)} has {len(segment.q)} rows: a hold has one")
+        raise refused(f"{_where(segment)} has {len(segment.q)} set-points, a hold has one")
     speed = np.abs(np.diff(segment.q, axis=0)).max(axis=0, initial=0.0) * rate_hz
     if (too_fast := np.flatnonzero(speed > limits.qd_max * SPEED_SLACK)).size:
         joint = int(too_fast[0])
         raise refused(
-            f"{_where(segment)} has set-points of joint {joint + 1} that are {speed[joint]:.3f} "
-            f"rad/s apart, {limits.qd_max[joint]:.3f} are allowed"
+            f"{_where(segment)} has set-points that move joint {joint + 1} with "
+            f"{speed[joint]:.3f} rad/s; the limit is {limits.qd_max[joint]:.3f} rad/s"
         )
-    # At rest before the first row and after the last one: a segment that sets out or ends at
-    # speed bends there.
+    # The arm is at rest before the first row and after the last one, so a segment that begins or
+    # ends at speed has a large second difference there.
     at_rest = np.vstack((segment.q[:1], segment.q, segment.q[-1:]))
     bends = np.abs(np.diff(at_rest, 2, axis=0)) * rate_hz**2
     most = limits.qdd_max * ACCELERATION_SLACK + 4 * ROUNDING_RAD * rate_hz**2
@@ -188,10 +202,11 @@ def require_smooth(segment: Segment, limits: Limits, rate_hz: float) -> None:
 
 def _too_sharp(segment: Segment, bends: FloatArray, most: FloatArray) -> CommandRefused:
     row, joint = np.unravel_index(int((bends / most).argmax()), bends.shape)
-    place = {0: "sets out", len(bends) - 1: "ends"}.get(int(row), f"bends at row {row}")
+    place = {0: "at its beginning", len(bends) - 1: "at its end"}.get(int(row), f"at row {row}")
     return refused(
-        f"{_where(segment)} {place} with {bends[row, joint]:.1f} rad/s² of joint {joint + 1} by "
-        f"its positions, {most[joint]:.3f} are allowed"
+        f"{_where(segment)} accelerates joint {joint + 1} {place} with "
+        f"{bends[row, joint]:.1f} rad/s², computed from its positions; the limit is "
+        f"{most[joint]:.3f} rad/s²"
     )
 
 

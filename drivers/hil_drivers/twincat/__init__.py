@@ -1,5 +1,6 @@
-"""An arm behind a Beckhoff PLC, by ADS: the PLC owns the cycle, plays and records.
+"""Driver of an arm behind a Beckhoff PLC (ADS); the PLC executes and records the motions.
 
-`robot` is what `hil` sees. It uploads motions and commands by a `controller`, and pulls what the
-PLC has recorded by `reading`. Both use the PLC's `variables`, whose bytes come and go over `ads`.
+`robot` is the driver that `hil` opens. The driver uploads motions and sends commands with a
+`controller`, and fetches the rows recorded by the PLC with `reading`. The modules `controller` and
+`reading` access the PLC's `variables`, whose bytes are transferred by `ads`.
 """

@@ -1,13 +1,15 @@
-"""Connections to a PLC by ADS: its variables as bytes, and plain errors for every failure.
+"""ADS connections to a PLC: transfer of variables as bytes, and conversion of errors.
 
-`listening_address` finds the PLC's ADS port by plain TCP, before anything of ADS is opened. `Line`
-is one ADS port of this computer. `pyads` brings its own router on Linux: no TwinCAT is needed here,
-only a route on the PLC back to this computer. Requests of one ADS port wait for each other, so
-requests that must not wait have a line of their own; all lines to one PLC share one TCP connection.
-`pyads` deletes the route to the PLC when any of them is closed: close all, then open anew.
+`listening_address` finds the PLC's ADS port by TCP, before any ADS connection is opened. `Line` is
+the connection from one ADS port of this computer to the PLC. On Linux `pyads` contains an ADS
+router, so this computer needs no TwinCAT. The PLC needs a route back to this computer. Requests of
+one ADS port are executed one after the other, so urgent requests use a separate line. All lines to
+one PLC share one TCP connection. `pyads` deletes the route to the PLC when any line is closed.
+Therefore the driver closes all lines before it opens new lines.
 
-ADS return codes become errors of `hil` by what is to be done about them (`error_of`): a missing
-route, a runtime that does not run and a program that was changed online look alike in the library.
+`error_of` converts ADS return codes to exceptions of `hil`, one class for each remedy. The error
+types of `pyads` do not distinguish a missing route, a runtime that is not running, and a program
+that was changed online.
 """
 
 from __future__ import annotations
@@ -33,31 +35,31 @@ from hil_drivers.network import peer_of, reason
 from hil_drivers.twincat.options import Options
 
 CONNECTED_WITHIN_S = 3.0
-"""How long a TCP connection may take: the library itself waits for minutes [s]."""
+"""Longest wait for a TCP connection [s]; `pyads` itself would wait for minutes."""
 
 
 def listening_address(options: Options) -> str:
-    """Return host and port for `Line.open` if something listens there; no ADS is spoken.
+    """Return the address for `Line.open` after a test that a TCP server listens at the address.
 
     Raises:
-        RobotConnectionError: Nothing listens there.
+        RobotConnectionError: No TCP server listens at the address.
     """
     host, port = options.host
     try:
         return f"{peer_of(host, port, CONNECTED_WITHIN_S)}:{port}"
     except OSError as error:
         raise RobotConnectionError(
-            f"PLC {options.address}: nobody listens on port {port}: {reason(error)}",
-            hint="is it on, and is it this address? TwinCAT's ADS port 48898 must be open in its "
-            "firewall; the mock is started with: hil mock plc",
+            f"PLC {options.address}: no connection to port {port}: {reason(error)}",
+            hint="check that the PLC is on, that its address is right, and that its firewall opens "
+            "TwinCAT's ADS port 48898; start the mock with: hil mock plc",
         ) from error
 
 
 def library() -> Any:
-    """Return `pyads`.
+    """Import and return the module `pyads`.
 
     Raises:
-        PluginError: It is not installed, or cannot be used here.
+        PluginError: `pyads` is not installed, or does not work on this computer.
     """
     try:
         import pyads
@@ -70,16 +72,17 @@ def library() -> Any:
 
 HANDLE_BY_NAME, VALUE_BY_HANDLE, RELEASE_HANDLE = 0xF003, 0xF005, 0xF006
 INFO_BY_NAME, SUM_READ = 0xF009, 0xF080
-"""Index groups of ADS."""
+"""Index groups of the ADS services for handles and symbols."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a variable is.
+    """Address of a variable in the memory of the PLC.
 
     Attributes:
-        group, offset: Index group and offset; or the group of handles, and a handle.
-        size: In bytes.
+        group: ADS index group; the group for handles if `offset` is a handle.
+        offset: ADS index offset, or the handle of the variable.
+        size: Size of the variable [bytes].
     """
 
     group: int
@@ -88,25 +91,25 @@ class Place:
 
 
 VERSION = Place(0xF008, 0, 1)
-"""Version of the PLC's symbols: another one once its program was changed online."""
+"""Address of the PLC's symbol version, which changes with every online change."""
 
 RUN = 5
 
 STATES = {2: "RESET", 3: "INIT", 4: "START", 5: "RUN", 6: "STOP", 11: "ERROR", 15: "CONFIG"}
-"""ADS states of a runtime."""
+"""Names of the ADS states of a PLC runtime."""
 
 ROUTE = (
-    "add a route to this computer on the PLC (TwinCAT: System, Routes), and see that ams_net_id "
-    "is the PLC's"
+    "add a route to this computer on the PLC (TwinCAT: System, Routes), and check that ams_net_id "
+    "is that of the PLC"
 )
 
 
 class Line:
-    """One ADS port of this computer, connected to one of the PLC's.
+    """ADS port of this computer, connected to an ADS port of the PLC.
 
     Args:
-        options: Of the arm.
-        timeout_s: How long an answer may take [s].
+        options: Options of the arm.
+        timeout_s: Longest wait for an answer of the PLC [s].
     """
 
     def __init__(self, options: Options, timeout_s: float) -> None:
@@ -116,17 +119,17 @@ class Line:
 
     @property
     def where(self) -> str:
-        """The PLC, for messages."""
+        """Name of the PLC for messages."""
         return f"PLC {self._options.address} (AMS {self._options.ams_net_id}:{self._options.port})"
 
     def open(self, address: str) -> None:
-        """Connect.
+        """Open the connection to the PLC.
 
         Args:
-            address: As `listening_address` returns it.
+            address: Address from `listening_address`.
 
         Raises:
-            RobotConnectionError: Nothing listens there.
+            RobotConnectionError: The PLC cannot be reached.
             PluginError: `pyads` is not installed.
         """
         pyads = library()
@@ -146,7 +149,7 @@ class Line:
         self._connection, self._answered = connection, False
 
     def close(self) -> None:
-        """Close the connection; idempotent."""
+        """Close the connection; further calls have no effect."""
         connection, self._connection = self._connection, None
         if connection is not None:
             pyads = library()
@@ -156,29 +159,29 @@ class Line:
                 return
 
     def state(self) -> int:
-        """Read the ADS state of the PLC's runtime; raises as `read`."""
-        with self._plain_errors("asked for its state"):
+        """Read the ADS state of the PLC's runtime; raise the same exceptions as `read`."""
+        with self._plain_errors("read its state"):
             return int(self._opened().read_state()[0])
 
     def device(self) -> str:
-        """Read name and version of the PLC's runtime; raises as `read`."""
-        with self._plain_errors("asked for its name"):
+        """Read the name and version of the PLC's runtime; raise the same exceptions as `read`."""
+        with self._plain_errors("read its name"):
             name, version = self._opened().read_device_info()
             return f"{name} {version.version}.{version.revision}.{version.build}"
 
     def place(self, name: str) -> Place:
-        """Ask where a variable is.
+        """Request the address of a variable from the PLC.
 
         Args:
-            name: Qualified.
+            name: Qualified name of the variable.
 
         Raises:
-            PluginError: The PLC has none of that name.
-            RobotError: As `read`.
+            PluginError: The PLC has no variable of that name.
+            RobotError: See `read`.
         """
         from pyads import constants, structs
 
-        with self._plain_errors(f"asked for {name}"):
+        with self._plain_errors(f"{LOOK_UP}{name}"):
             entry = self._opened().read_write(
                 INFO_BY_NAME, 0, structs.SAdsSymbolEntry, name,
                 constants.PLCTYPE_STRING, return_ctypes=True,
@@ -186,19 +189,19 @@ class Line:
             return Place(int(entry.iGroup), int(entry.iOffs), int(entry.size))
 
     def handle(self, name: str) -> Place:
-        """Ask for a handle by which a variable is written.
+        """Request a handle for writing a variable from the PLC.
 
-        A PLC whose program was changed online refuses an old handle, where it would let an old
-        offset change other memory.
+        A PLC whose program was changed online rejects an old handle. After such a change, a write
+        by an old offset would change other memory of the PLC.
 
         Raises:
-            PluginError: The PLC has none of that name.
-            RobotError: As `read`.
+            PluginError: The PLC has no variable of that name.
+            RobotError: See `read`.
         """
         from pyads import constants
 
         size = self.place(name).size
-        with self._plain_errors(f"asked for {name}"):
+        with self._plain_errors(f"{LOOK_UP}{name}"):
             handle = self._opened().read_write(
                 HANDLE_BY_NAME, 0, constants.PLCTYPE_UDINT, name,
                 constants.PLCTYPE_STRING,
@@ -206,19 +209,19 @@ class Line:
         return Place(VALUE_BY_HANDLE, int(handle), size)
 
     def release(self, handle: Place) -> None:
-        """Give a handle back; raises as `read`."""
+        """Release a handle in the PLC; raise the same exceptions as `read`."""
         self.write(Place(RELEASE_HANDLE, 0, 4), handle.offset.to_bytes(4, "little"))
 
     def version(self) -> int:
-        """Read the version of the PLC's symbols, which changes with its program.
+        """Read the symbol version of the PLC, which changes with the PLC's program.
 
         Raises:
-            RobotError: As `read`.
+            RobotError: See `read`.
         """
         return self.read(VERSION)[0]
 
     def wait_for(self, timeout_s: float) -> None:
-        """Set how long answers may take from now on [s]."""
+        """Set the longest wait for the answers to later requests [s]."""
         self._timeout_s = timeout_s
         if self._connection is not None:
             self._connection.set_timeout(max(1, round(timeout_s * 1000)))
@@ -227,14 +230,14 @@ class Line:
         """Read bytes of a variable.
 
         Args:
-            place: Of the variable.
-            start: First byte.
-            size: How many; all when None.
+            place: Address of the variable.
+            start: Offset of the first byte.
+            size: Number of bytes; None for all bytes after `start`.
 
         Raises:
-            RobotTimeout: It has not answered in time.
-            RobotConnectionError: The connection is gone, or its runtime is.
-            CommandRefused: It does not give them.
+            RobotTimeout: The PLC has not answered the request in time.
+            RobotConnectionError: The connection is lost, or the runtime of the PLC does not run.
+            CommandRefused: The PLC refuses the request.
         """
         wanted = place.size - start if size is None else size
         with self._plain_errors(f"read {wanted} bytes"):
@@ -246,10 +249,10 @@ class Line:
     def read_versioned(
         self, place: Place, start: int = 0, size: int | None = None
     ) -> tuple[bytes, int]:
-        """Read bytes of a variable and, after them in the same request, the symbols' version.
+        """Read bytes of a variable and the symbol version of the PLC, in one request.
 
         Raises:
-            RobotError: As `read`.
+            RobotError: See `read`.
         """
         from pyads import structs
 
@@ -270,7 +273,7 @@ class Line:
         return answer[8:-1], answer[-1]
 
     def write(self, place: Place, data: bytes, start: int = 0) -> None:
-        """Write bytes of a variable; raises as `read`."""
+        """Write bytes of a variable; raise the same exceptions as `read`."""
         kind = block(len(data))
         with self._plain_errors(f"write {len(data)} bytes"):
             self._opened().write(
@@ -285,7 +288,7 @@ class Line:
 
     @contextmanager
     def _plain_errors(self, what: str) -> Iterator[None]:
-        """Raise errors of the library as errors of `hil`."""
+        """Convert errors of `pyads` to exceptions of `hil`."""
         pyads = library()
         try:
             yield
@@ -294,7 +297,7 @@ class Line:
             raise error_of(
                 error, self.where, what, timeout_s=self._timeout_s, answered=self._answered
             ) from error
-        except (RuntimeError, TypeError) as error:  # too few bytes; closed by another thread
+        except (RuntimeError, TypeError) as error:  # too few bytes, or line closed
             raise RobotConnectionError(
                 f"{self.where}: {what}: {error}", hint="connect again"
             ) from error
@@ -302,14 +305,14 @@ class Line:
 
 @cache
 def block(size: int) -> type[ctypes.Structure]:
-    """Return a ctypes structure of so many bytes: `pyads` takes arrays apart, byte by byte."""
+    """Return a ctypes structure of `size` bytes, because `pyads` converts arrays slowly."""
     return type(
         f"Block{size}", (ctypes.Structure,), {"_fields_": [("bytes", ctypes.c_ubyte * size)]}
     )
 
 
 def one(data: bytes, kind: np.dtype[Any]) -> np.void:
-    """Return bytes as one structure."""
+    """Return bytes as one structure of the dtype `kind`."""
     structure: np.void = np.frombuffer(data, kind)[0]
     return structure
 
@@ -319,23 +322,24 @@ BUSY, NO_SYMBOL, OTHER_VERSION, WRONG_STATE, DEVICE_TIMED_OUT = 0x708, 0x710, 0x
 TIMED_OUT = (0x745, 0x274C)
 
 DEVICE_CODES = range(0x700, 0x740)
-"""Answers of the PLC itself; all others come from the way to it."""
+"""ADS return codes that the PLC itself sends; all other codes concern the connection."""
 
-LOST = "see to cable and PLC, then connect again"
-ASKED = "asked for "
+LOST = "check cable and PLC, then connect again"
+LOOK_UP = "look up "
 
 
 def error_of(
     error: Exception, where: str, what: str, *, timeout_s: float, answered: bool
 ) -> HilError:
-    """Return the error of `hil` for an error of `pyads`.
+    """Return the exception of `hil` that corresponds to an error of `pyads`.
 
     Args:
-        error: Of `pyads`.
-        where: Which PLC.
-        what: The request, in words.
-        timeout_s: How long was waited [s].
-        answered: Whether this PLC has ever answered: a missing route is no reason then.
+        error: Error of `pyads`.
+        where: Name of the PLC, for the message.
+        what: Description of the request, for the message.
+        timeout_s: Time-out of the request [s].
+        answered: Whether the PLC has answered an earlier request; if True, a missing route is not
+            the cause of the error.
     """
     code = getattr(error, "err_code", None)
     if code in TIMED_OUT:
@@ -351,33 +355,34 @@ def error_of(
 
 
 def error_of_code(code: int, where: str, what: str, library_text: str = "") -> HilError:
-    """Return the error for a return code of a PLC, or of the router before it.
+    """Return the exception for an ADS return code of a PLC, or of the router before the PLC.
 
     Args:
-        code: Not 0.
-        where: Which PLC.
-        what: The request, in words.
-        library_text: The library's text for the code.
+        code: ADS return code, not 0.
+        where: Name of the PLC, for the message.
+        what: Description of the request, for the message.
+        library_text: Text of `pyads` for the return code.
     """
-    if code == NO_SYMBOL and what.startswith(ASKED):
+    if code == NO_SYMBOL and what.startswith(LOOK_UP):
         return PluginError(
-            f"{where} has no variable {what.removeprefix(ASKED)}",
-            hint="download the PLC program that docs/how-to/drive-twincat.md describes, or mend "
+            f"{where} has no variable {what.removeprefix(LOOK_UP)}",
+            hint="download the PLC program that docs/how-to/drive-twincat.md describes, or correct "
             "the option prefix",
         )
     if code in (NO_SYMBOL, OTHER_VERSION):
         return changed_online(where)
     if code in (BUSY, DEVICE_TIMED_OUT):
-        why = "is busy" if code == BUSY else "has timed out in itself"
-        return RobotTimeout(f"{where} {why}: {what}", hint="see to TwinCAT's load, then try again")
+        why = "is busy" if code == BUSY else "reports an internal time-out"
+        hint = "check the load of TwinCAT, then try again"
+        return RobotTimeout(f"{where} {why}: {what}", hint=hint)
     if code == NO_RUNTIME:
         return RobotConnectionError(
             f"{where}: no PLC runtime answers there: {what}",
-            hint="bring TwinCAT into run mode, log in, start the PLC; is port its runtime's?",
+            hint="bring TwinCAT into run mode, log in, start the PLC, and check the option port",
         )
     if code == WRONG_STATE:
         return RobotConnectionError(
-            f"{where}: its runtime is in a state in which it answers nothing: {what}",
+            f"{where}: its runtime does not answer in its present state: {what}",
             hint="bring TwinCAT into run mode and start the PLC",
         )
     if code == NO_ROUTE:
@@ -389,14 +394,14 @@ def error_of_code(code: int, where: str, what: str, library_text: str = "") -> H
 
 
 def changed_online(where: str) -> RobotFault:
-    """Return the error for a program whose variables have moved in memory."""
+    """Return the error that reports that the PLC's variables have moved in memory."""
     return RobotFault(
-        f"{where}: its program was changed online: variables lie elsewhere now; the heartbeat has "
-        "ended, so that the PLC's watchdog brings the arm to rest",
+        f"{where}: its program was changed online, and its variables have new addresses; the "
+        "heartbeat has ended, so that the PLC's watchdog stops the arm",
         hint="connect again",
     )
 
 
 def text_of(error: Any) -> str:
-    """Return the text of an error of the library, on one line."""
+    """Return the text of a `pyads` error on one line."""
     return str(getattr(error, "msg", None) or error).strip().rstrip(".")

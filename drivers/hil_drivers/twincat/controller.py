@@ -1,15 +1,16 @@
-"""The connection to one PLC: taking the arm, commands, stop and heartbeat.
+"""Connection to one PLC, for control of the arm, commands, stops and heartbeat.
 
-`Controller` refuses a PLC that is not what the station says, then takes the arm. It has three lines
-to the PLC, because requests on a line wait for each other: one for beats, one for stops, one for
-everything else. On them:
+`Controller` rejects a PLC that does not match the station, then takes control of the arm. Requests
+on one line are executed one after the other. Therefore the controller opens three lines to the PLC:
+for the heartbeat, for stops, and for all other requests. Three classes use the lines to the PLC:
 
-- `Orders` gives one command at a time. An answer names its client and its command, so that an old
-  answer, or one to another client, is never mistaken for it.
-- `Stops` counts up `nStop`, where any change is a stop: it needs no command and no answer, and any
-  thread may write it. It waits until the PLC's program shows that it has seen the stop.
-- `Beat` is the heartbeat: as long as it is written, the PLC lets the arm move. It is a thread that
-  dies with this process, and is silenced when a stop does not get through.
+- `Orders` sends commands, one at a time. An answer contains the session and the number of its
+  command, so that an old answer, or an answer to another client, is never accepted.
+- `Stops` increments `nStop`; every change of `nStop` is a stop. A stop needs no command and no
+  answer, and any thread can write `nStop`. After writing, `Stops` waits until the PLC's program
+  shows the new value.
+- `Beat` writes the heartbeat: the PLC lets the arm move only while the heartbeat is written. The
+  heartbeat ends with this process, and also if a stop does not reach the PLC.
 """
 
 from __future__ import annotations
@@ -42,39 +43,44 @@ from hil_drivers.twincat.variables import (
 )
 
 CYCLE_SHARE = 1e-6
-"""Largest difference between the PLC's cycle and the station's, as a share of it."""
+"""Maximum relative difference between the cycle times of the PLC and of the station."""
 
 EFFORTS = {TORQUE: "torque", CURRENT: "current"}
-"""`nEffort` in the words of the option `effort`."""
+"""Dictionary from the value of `nEffort` to the value of the option `effort`."""
 
 ANSWER_S, BEAT_S, STOP_S = 1.0, 0.2, 0.03
-"""How long an answer may take: in general, to a beat, to a stop before it is written again [s]."""
+"""Time-outs of answers [s]: in general, to a heartbeat, and to a stop before its repetition."""
 
 TAKE_S, SURE_S = 3.0, 0.5
-"""How long a braking arm is waited for; a client that has died for so much longer than the PLC's
-watchdog takes to notice that [s]."""
+"""Two time-outs for taking control of the arm [s].
+
+The first time-out is the longest wait for an arm that is braking. The second time-out is added to
+the watchdog time of the PLC: it is the longest wait until the PLC detects the death of an earlier
+client.
+"""
 
 
 class Controller:
-    """One PLC, from connecting to closing.
+    """Connection to one PLC, which exists from connecting to closing.
 
     Args:
-        model: Built-in arm.
-        options: Of the station.
+        model: Name of a built-in arm.
+        options: Options of the station.
 
     Raises:
-        RobotConnectionError: No PLC answers, or it is not what the station says.
-        PluginError: Its program keeps another contract, or none.
-        CommandRefused: Another client has the arm.
-        RobotFault: It has a fault that cannot be reset.
+        RobotConnectionError: No PLC answers, or the PLC does not match the station.
+        PluginError: The PLC's program implements a different version of the contract, or no
+            contract.
+        CommandRefused: Another client controls the arm.
+        RobotFault: The PLC reports a fault that cannot be reset.
 
     Attributes:
-        variables: Of the PLC.
-        identity: Of arm and PLC, as the PLC states it.
-        session: Number of this connection.
-        orders: Give commands.
-        stops: Give stops.
-        beat: The heartbeat.
+        variables: Access to the variables of the PLC.
+        identity: Identity of arm and PLC, as reported by the PLC.
+        session: Number that identifies this connection in the PLC.
+        orders: Sender of commands.
+        stops: Sender of stops.
+        beat: Heartbeat.
     """
 
     def __init__(self, model: str, options: Options) -> None:
@@ -83,8 +89,8 @@ class Controller:
         self._main, self._beats = Line(options, ANSWER_S), Line(options, BEAT_S)
         self._stopping = Line(options, STOP_S)
         try:
-            # Looked for once and before any line is open: a PLC may drop an older connection from
-            # this computer. A mock that is still starting here is waited for.
+            # Find the address once and before any line is open, because a PLC can drop an older
+            # connection from this computer. Wait for a mock that is still starting here.
             host, _ = options.host
             if is_ip(host):
                 address = once_listening(host, lambda: listening_address(options))
@@ -112,59 +118,61 @@ class Controller:
 
     @property
     def where(self) -> str:
-        """The PLC, for messages."""
+        """Name of the PLC for messages."""
         return self._main.where
 
     @property
     def info(self) -> np.void:
-        """`stInfo` as it was at connecting."""
+        """Structure `stInfo` as read when connecting."""
         return self.variables.info
 
     @property
     def watchdog_s(self) -> float:
-        """Silence after which the PLC stops the arm [s]."""
+        """Time without a heartbeat after which the PLC stops the arm [s]."""
         return float(self.info["fWatchdogS"])
 
     def state(self) -> np.void:
-        """Read `stState`; raises as `Line.read`."""
+        """Read the variable `stState`; raise the same exceptions as `Line.read`."""
         return self.variables.structure("stState")
 
     def runtime_state(self) -> int:
-        """Read the ADS state of the PLC's runtime; raises as `Line.read`."""
+        """Read the ADS state of the PLC's runtime; raise the same exceptions as `Line.read`."""
         return self._main.state()
 
     def wait_for(self, timeout_s: float | None = None) -> None:
-        """Set how long answers may take, those to beats and stops left out [s]."""
+        """Set the time-out of answers [s], except that of answers to heartbeats and stops."""
         self._main.wait_for(ANSWER_S if timeout_s is None else min(timeout_s, ANSWER_S))
 
     def stop(self) -> None:
-        """Let the PLC bring the arm to rest; any thread may call this.
+        """Command the PLC to bring the arm to rest; any thread can call this.
 
         Raises:
-            RobotConnectionError: The PLC was not reached, or does not show that it has seen the
-                stop; the heartbeat has ended then, so that the PLC's watchdog stops the arm.
+            RobotConnectionError: The PLC was not reached, or the PLC's program does not show the
+                stop. In this case the heartbeat was ended, so that the PLC's watchdog stops the
+                arm.
         """
         try:
             self.stops.give()
         except HilError as error:
             self.beat.silence()
             raise RobotConnectionError(
-                f"{self.where} could not be told to stop: {error.message}; our heartbeat has "
-                f"ended, so its watchdog stops the arm within {self.watchdog_s:g} s",
-                hint="see to the robot itself, by its emergency stop if need be",
+                f"{self.where} did not confirm the stop: {error.message}; the heartbeat has ended, "
+                f"so that the PLC's watchdog stops the arm within {self.watchdog_s:g} s",
+                hint="check that the robot stops; if not, press its emergency stop",
             ) from error
 
     def load(self, segment: Segment) -> None:
-        """Upload set-points and let the PLC check them.
+        """Upload the set-points of a segment, and command the PLC to check these set-points.
 
         Raises:
-            CommandRefused: There are too many, they leave the limits, or were changed on the way.
-            RobotError: As `Orders.give`.
+            CommandRefused: The segment has too many set-points, the set-points leave the limits, or
+                the set-points were changed during the transfer.
+            RobotError: The command failed; see `Orders.give`.
         """
         room, rows = int(self.info["nSetPoints"]), len(segment.q)
         if rows > room:
             raise CommandRefused(
-                f"segment {segment.index} has {rows} set-points, the PLC has room for {room}",
+                f"segment {segment.index} has {rows} set-points, the PLC stores at most {room}",
                 hint="plan shorter motions, or raise SET_POINTS in the PLC",
             )
         fields = self.variables.upload(segment)
@@ -172,16 +180,17 @@ class Controller:
         answer = self.orders.give(Order.LOAD, what, LOAD_S, **fields)
         if (answer["nSumA"], answer["nSumB"]) != (fields["nSumA"], fields["nSumB"]):
             raise CommandRefused(
-                f"{what}: the PLC reads back other set-points than were sent", hint="try again"
+                f"{what}: the set-points read back from the PLC differ from those sent",
+                hint="try again",
             )
 
     def fault(self, state: np.void) -> str:
-        """Return number and text of the PLC's fault, as `stState` has them."""
+        """Return the number and the text of the PLC's fault, as reported in `stState`."""
         description = _text(state["sFault"])
         return f"fault {int(state['nFault'])}" + (f": {description}" if description else "")
 
     def close(self) -> None:
-        """Release the arm and close the connection; raises nothing."""
+        """Release the arm and close the connection; never raise."""
         with contextlib.suppress(HilError):
             self.orders.give(Order.RELEASE, "release the arm", 0.5)
             self.variables.release()
@@ -193,29 +202,31 @@ class Controller:
             line.close()
 
     def _require_fit(self, model: str, options: Options) -> None:
-        """Raise if the PLC is not what the station says; all differences are listed.
+        """Raise if the PLC does not match the station; the message lists all differences.
 
         Raises:
-            RobotConnectionError: Model, axes, cycle or effort differ.
+            RobotConnectionError: Model, number of axes, cycle time or effort of PLC and station
+                differ.
         """
         info, described = self.info, load_arm(model)
         plc_model, cycle = _text(info["sModel"]), float(info["fCycleS"])
         problems = []
         if info["nAxes"] != described.n_joints:
-            problems.append(f"it has {info['nAxes']} axes, the {model} has {described.n_joints}")
+            problems.append(f"it has {info['nAxes']} axes, {model} has {described.n_joints}")
         if plc_model and plc_model != model:
-            problems.append(f"it moves a {plc_model}, the station says {model}")
+            problems.append(f"its arm is {plc_model}, the station has {model}")
         if not abs(cycle * options.rate_hz - 1) < CYCLE_SHARE:
-            wanted = 1e3 / options.rate_hz
-            problems.append(f"its cycle is {cycle * 1e3:g} ms, rate_hz says {wanted:g}")
+            period_ms = 1e3 / options.rate_hz
+            problems.append(f"its cycle is {cycle * 1e3:g} ms, rate_hz is for {period_ms:g} ms")
         effort = EFFORTS.get(int(info["nEffort"]), f"effort {info['nEffort']}")
         if effort != options.effort:
-            problems.append(f"it tells {effort}, option effort says {options.effort}")
+            problems.append(f"it reports {effort}, the option effort is {options.effort}")
         if not (info["aQMin"] < info["aQMax"]).all() or not (info["aQdMax"] > 0).all():
-            problems.append("its joint limits are none")
+            problems.append("its joint limits are invalid")
         if problems:
             raise RobotConnectionError(
-                f"{self.where}: {'; '.join(problems)}", hint="mend the station, or the PLC's GVL"
+                f"{self.where}: {'; '.join(problems)}",
+                hint="correct the station, or the GVL of the PLC",
             )
 
     def _identity(self, model: str, options: Options) -> Identity:
@@ -223,7 +234,7 @@ class Controller:
         try:
             device = self._main.device()
         except HilError:
-            device = "not told"
+            device = "not reported"
         return Identity(
             model=_text(info["sModel"]) or model,
             serial=_text(info["sSerial"]),
@@ -243,10 +254,10 @@ class Controller:
         )
 
     def _take(self, kind: np.dtype[np.void]) -> Beat:
-        """Take the arm and start the heartbeat.
+        """Take control of the arm and start the heartbeat.
 
         Args:
-            kind: dtype of `stBeat`.
+            kind: NumPy dtype of the variable `stBeat`.
         """
         began = time.monotonic()
         while True:
@@ -279,20 +290,23 @@ def _text(raw: bytes) -> str:
 
 
 ORDER_S, LOAD_S = 2.0, 10.0
-"""How long the PLC may take; LOAD looks at every set-point, a hundred a cycle [s]."""
+"""Time-outs of commands [s]: for all commands except LOAD, and for LOAD.
+
+For the command LOAD the PLC checks every set-point, 100 of them per cycle.
+"""
 
 POLL_S = 0.002
 
 
 class Orders:
-    """Gives one command at a time and waits for its answer.
+    """Sender of commands, which sends one command at a time and waits for the answer.
 
     Args:
-        layout: Of the variables.
-        read: Returns the bytes of `stAnswer`.
-        write: Writes the bytes of `stCommand`.
-        session: Number of this connection.
-        names: Of the joints, for messages.
+        layout: Layouts of the PLC's variables.
+        read: Function that returns the bytes of `stAnswer`.
+        write: Function that writes the bytes of `stCommand`.
+        session: Number that identifies this connection in the PLC.
+        names: Names of the joints, used in messages.
     """
 
     def __init__(
@@ -312,16 +326,16 @@ class Orders:
         """Send a command and wait for its answer.
 
         Args:
-            order: The command.
-            what: The command in words, for messages.
-            within_s: How long the answer may take.
-            fields: Of the command.
+            order: Command to send.
+            what: Description of the command, for messages.
+            within_s: Longest wait for the answer [s].
+            fields: Values of the fields of `stCommand`.
 
         Raises:
-            CommandRefused: The PLC says no.
-            RobotFault: It has a fault, or has taken the arm away from us.
-            RobotTimeout: It has not answered.
-            RobotError: The line fails.
+            CommandRefused: The PLC refuses the command.
+            RobotFault: The PLC has a fault, or has ended this client's control of the arm.
+            RobotTimeout: The PLC has not answered the command in time.
+            RobotError: The request on the line failed.
         """
         counter = self._counter = self._counter % 0xFFFFFFFF + 1
         command = np.zeros(1, self._command)
@@ -339,12 +353,12 @@ class Orders:
             if time.monotonic() > until:
                 raise RobotTimeout(
                     f"the PLC has not answered within {within_s:g} s: {what}",
-                    hint="is its program running? TwinCAT shows whether its cycle is",
+                    hint="check in TwinCAT that the PLC program and its task run",
                 )
             time.sleep(POLL_S)
 
     def _is_to(self, answer: np.void, counter: int, order: Order) -> bool:
-        """Return whether an answer is whole and to this command: other clients count, too."""
+        """Return whether an answer is complete and belongs to this command of this client."""
         return bool(
             answer["nCounter"] == counter == answer["nCounterEnd"]
             and answer["nSession"] == self._session
@@ -361,34 +375,33 @@ class Orders:
         if result in (Result.FAULT, Result.NOT_YOURS):
             raise RobotFault(message, hint="remove the cause, then connect() again")
         hints: dict[int, str] = {
-            Result.HELD: "end the other client, or wait until the PLC's watchdog has noticed",
-            Result.CHECKSUM: "try again; if it stays so, see to the connection",
-            Result.BUSY: "read until it rests",
-            Result.STOPPED: "prepare it again; something else may write nStop as well",
+            Result.HELD: "end the other client, or wait until the PLC's watchdog releases the arm",
+            Result.CHECKSUM: "try again; if the error remains, check the connection",
+            Result.BUSY: "read until the arm is at standstill",
+            Result.STOPPED: "prepare the segment again; check whether another program writes nStop",
         }
         raise CommandRefused(message, hint=hints.get(result, "plan again for this arm"))
 
 
 def payload_in(answer: np.void) -> Payload:
-    """Return the load that the PLC computes with, as `stAnswer` has it."""
+    """Return the payload that the PLC uses, as reported in `stAnswer`."""
     x, y, z = answer["aCom"].tolist()
     xx, yy, zz, xy, xz, yz = answer["aInertia"].tolist()
     return Payload(float(answer["fMass"]), (x, y, z), (xx, yy, zz, xy, xz, yz))
 
 
 WRITTEN_WITHIN_S, SEEN_WITHIN_S = 0.05, 0.09
-"""Until when a stop is written again, and until when the PLC has to show that it has seen it,
-counted from the call [s]."""
+"""Time limits of a stop from the call on [s]: for writing, and until the PLC shows the stop."""
 
 STOP_MODULO = 2**32
 
 
 class Stops:
-    """Gives stops by counting up `nStop`.
+    """Sender of stops, each of which increments `nStop`.
 
     Args:
-        variables: Of the PLC.
-        line: For stops only.
+        variables: Variables of the PLC.
+        line: Line to the PLC that is used for stops only.
     """
 
     def __init__(self, variables: Variables, line: Line) -> None:
@@ -398,23 +411,23 @@ class Stops:
         self._counting, self._writing = threading.Lock(), threading.Lock()
 
     def before_start(self) -> tuple[np.void, int]:
-        """Return `stState`, and the `nStop` with which a start will be obeyed."""
+        """Return `stState` and the value of `nStop` that a start command must contain."""
         with self._counting:
             given, under_way = self._given, self._under_way
         state = self._variables.structure("stState")
-        seen = int(state["nStop"])  # other clients count it up, too
+        seen = int(state["nStop"])  # other clients increment it, too
         with self._counting:
-            # Never back behind a stop of this client: the next one would be no change.
+            # Never go back behind a stop of this client, else the next stop changes nothing.
             if given == self._given and not under_way:
                 self._last = seen
         return state, seen
 
     def give(self) -> None:
-        """Write a stop and wait until the PLC's program has seen it; any thread may call this.
+        """Write a stop and wait until the PLC's program shows it; any thread can call this.
 
         Raises:
-            RobotTimeout: The program does not show the stop in time.
-            RobotError: It could not be written.
+            RobotTimeout: The program of the PLC does not show the stop in time.
+            RobotError: The stop could not be written to the PLC.
         """
         began = time.monotonic()
         with self._counting:
@@ -429,23 +442,23 @@ class Stops:
                 self._under_way -= 1
 
     def _write(self) -> None:
-        """Write the newest number, one thread after the other, so that `nStop` never goes back."""
+        """Write the newest `nStop`, one thread at a time, so that the value never decreases."""
         with self._writing:
             number = self._last.to_bytes(4, "little")
             self._line.write(self._variables.handle("nStop"), number)
 
     def _require_seen(self, value: int) -> None:
-        """Raise unless the PLC shows this stop, or a later one of another thread."""
+        """Raise unless the PLC shows this value of `nStop`, or a later stop of another thread."""
         seen = int(self._variables.structure("stState", self._line)["nStop"])
         if (self._last - seen) % STOP_MODULO > (self._last - value) % STOP_MODULO:
             raise RobotTimeout(
-                f"its program shows stop {seen}, not {value}",
-                hint="stop the arm by its own means, then look at the PLC program",
+                f"its program shows stop number {seen}, not {value}",
+                hint="stop the arm at the robot itself, then check the PLC program",
             )
 
 
 def _until(until: float, act: Callable[[], None]) -> None:
-    """Call `act` until it raises nothing: threads share the line, which may refuse one of them."""
+    """Call `act` until the call succeeds or the time is over; a call fails if a line is busy."""
     while True:
         try:
             return act()
@@ -456,18 +469,19 @@ def _until(until: float, act: Callable[[], None]) -> None:
 
 
 EVERY_S = 0.04
-"""Time between two beats [s]."""
+"""Period of the heartbeat [s]."""
 
 
 class Beat:
-    """The heartbeat: a thread that writes a counter. It dies with this process, the PLC notices.
+    """Heartbeat thread that writes a counter, so that the PLC detects the end of this process.
 
     Args:
-        write: Writes session and count.
-        session: Number of this connection.
+        write: Function that writes the session number and the count to the PLC.
+        session: Number that identifies this connection in the PLC.
 
     Attributes:
-        problem: Error of the last beat that failed; the PLC stops the arm if beats stay away.
+        problem: Exception of the last heartbeat that failed. The PLC stops the arm if heartbeats
+            are missing.
     """
 
     def __init__(self, write: Callable[[int, int], None], session: int) -> None:
@@ -478,21 +492,21 @@ class Beat:
         self.problem: HilError | None = None
 
     def start(self) -> None:
-        """Begin to write, until `silence` or `end`."""
+        """Start the heartbeat, which runs until `silence` or `end` is called."""
         self._thread = threading.Thread(target=self._run, name="beat to the PLC", daemon=True)
         self._thread.start()
 
     @property
     def alive(self) -> bool:
-        """Whether beats are being written."""
+        """Whether the heartbeat thread still writes the heartbeat."""
         return self._thread is not None and self._thread.is_alive() and not self._over.is_set()
 
     def silence(self) -> None:
-        """Write no further beats, without waiting for one that is on its way."""
+        """Stop the heartbeat without waiting for a write in progress."""
         self._over.set()
 
     def end(self) -> None:
-        """Write no further beats and wait for the thread; idempotent."""
+        """Stop the heartbeat and wait for its thread; further calls have no effect."""
         self.silence()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(2.0)
@@ -508,5 +522,5 @@ class Beat:
                 self.problem = error
                 if not isinstance(error, TimeoutError):
                     return
-                # It may answer again, or be less busy; whether that is too late, the PLC decides.
+                # The PLC possibly answers again; its watchdog decides whether that is too late.
             self._over.wait(EVERY_S)

@@ -21,7 +21,7 @@ RANGES = {
     "late_s": (0.05, 5.0),
     "speed_share": (0.01, 1.0),
 }
-"""Least and most of the options that are numbers."""
+"""Minimum and maximum value of each option that is a number."""
 
 _CHECKS = OptionChecks("twincat")
 
@@ -34,22 +34,25 @@ _NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The options of one arm.
+    """Options of one arm behind a TwinCAT PLC.
 
     Attributes:
-        address: IP address or host name of the PLC, and a TCP port where it is not 48898.
-        ams_net_id: Of the PLC; on this computer made of the address, as the mock's is.
-        local_net_id: Of this computer, where the route on the PLC has another one than the
-            library's default, the computer's address and `.1.1`.
+        address: IP address or host name of the PLC, with the TCP port if it is not 48898.
+        ams_net_id: AMS net id of the PLC. For a PLC on this computer the id is derived from the
+            address, like the id of the mock.
+        local_net_id: AMS net id of this computer; needed if the route on the PLC differs from the
+            default of `pyads` (the address of this computer and `.1.1`).
         port: AMS port of the PLC's runtime.
-        prefix: Variable list of the PLC that has the contract's variables.
-        rate_hz: Cycles of the PLC's task per second.
-        block_rows: Rows that a read waits for, since a request takes about a millisecond.
-        chunk_bytes: Most that is read or written in one request.
-        effort: What the drives measure: torque at the joint [N·m], or motor current [A].
-        drive_gains_nm_a: Torque per current at the joint; the arm's own by default.
-        late_s: Silence of the PLC that ends a motion [s].
-        speed_share: Share of the arm's joint speeds that may be used.
+        prefix: Name of the PLC's variable list that contains the variables of the contract.
+        rate_hz: Rate of the PLC's task [Hz].
+        block_rows: Number of rows for which a read waits, because one request takes about a
+            millisecond.
+        chunk_bytes: Maximum number of bytes read or written in one request.
+        effort: Quantity measured by the drives: torque at the joint [N·m], or motor current [A].
+        drive_gains_nm_a: Drive gains at the joints [N·m/A]; by default those of the arm's
+            description.
+        late_s: Time without new rows of the PLC after which a motion is ended [s].
+        speed_share: Share of the arm's maximum joint speeds that motions can use.
     """
 
     address: str
@@ -67,38 +70,39 @@ class Options:
 
     @property
     def resource(self) -> str:
-        """The PLC, whatever a station calls it.
+        """Identifier of the PLC, independent of its address in the station file.
 
-        A PLC keeps one TCP connection per computer, so two programs of one computer cannot drive
-        two of its arms.
+        A PLC accepts one TCP connection per computer, so two programs on one computer cannot drive
+        two arms of the same PLC.
         """
         return f"ads://{self.ams_net_id}"
 
     @property
     def route(self) -> Address:
-        """See `hil.robot.HasAddress`.
+        """Address of the PLC; see `hil.robot.HasAddress`.
 
-        A router on this computer may lead to a real PLC, which its AMS net id names.
+        An ADS router on this computer can forward to a real PLC. Therefore only the AMS net id
+        shows whether the PLC is real.
         """
         here = is_loopback(self.host[0]) and self.ams_net_id.startswith("127.")
         return Address(f"{self.address} (AMS net id {self.ams_net_id})", real=not here)
 
     @property
     def host(self) -> tuple[str, int]:
-        """Host and TCP port of the PLC's ADS."""
+        """Host and TCP port of the PLC's ADS server."""
         host, _, port = self.address.partition(":")
         return host, int(port or ADS_PORT)
 
 
 def options_of(given: Mapping[str, Any], model: str) -> Options:
-    """Return the options that a station file gives.
+    """Check the options of a station file and return the options of the arm.
 
     Args:
-        given: Option → value.
-        model: Built-in arm.
+        given: Values in the station file, by option name.
+        model: Name of a built-in arm.
 
     Raises:
-        SpecError: An option is missing, unknown, or has a value that is not possible.
+        SpecError: An option is missing, unknown, or has an invalid value.
     """
     _CHECKS.require_known(given, [field.name for field in fields(Options)])
     for name, between in RANGES.items():
@@ -123,7 +127,7 @@ def options_of(given: Mapping[str, Any], model: str) -> Options:
 
 
 def _address(value: Any) -> str:
-    """Return an address in the one form that addresses are compared in."""
+    """Return the address of a PLC in normalized form."""
     written, _, port = value.strip().partition(":") if isinstance(value, str) else ("", "", "")
     host = host_of(written)
     if host and (not port or (port.isdigit() and 0 < int(port) < 65536)):

@@ -1,12 +1,13 @@
-"""Reading the rows of the PLC's ring, and following the arm by them.
+"""Reader of the rows in the PLC's ring buffer, and detector of the arm's state.
 
-The PLC writes a row per cycle into a ring; `Ring` pulls them in blocks, every row once and in
-order, and counts rows that were overwritten before they were read. A row has its number at both
-ends, so a row that is being written while it is read is noticed and read again. `Watch` follows the
-arm by these rows and the PLC's state: does it move, was it taken by another client, does the PLC's
-task run? `Reading` puts both together: it waits for a block as long as time allows, and gives a
-motion up when the PLC is silent. `state_rows` and `reading_rows` turn rows of the ring into the
-base record and a topic of their own.
+The PLC writes one row per cycle into a ring buffer. `Ring` fetches the rows in blocks: each row
+exactly one time and in order. `Ring` also counts rows that were overwritten before they were read.
+A row contains its number at both ends. Thus a row that was read while the PLC wrote it is detected
+and read again. `Watch` determines from the rows and from the PLC's state whether the arm moves,
+whether another client controls the arm, and whether the PLC's task runs. `Reading` combines `Ring`
+and `Watch`: a read waits for a block until the time-out, and ends a motion if the PLC writes no
+rows. `state_rows` and `reading_rows` convert rows of the ring buffer to the base record and to a
+separate topic.
 """
 
 from __future__ import annotations
@@ -25,26 +26,26 @@ from hil_drivers.twincat.options import Options
 from hil_drivers.twincat.variables import EFFORT_TARGETS, TEMPERATURES, Phase
 
 LEAST_NAP_S = 1e-3
-"""Shortest pause between two requests [s]."""
+"""Minimum pause between two requests to the PLC [s]."""
 
 LEAST_WAIT_S = 0.02
-"""Shortest time that a request waits for its answer [s]."""
+"""Minimum time-out of a request to the PLC [s]."""
 
 IDLE_ROWS_S = 5.0
-"""Of an arm that was neither moved nor read for long, only the newest rows are read [s]."""
+"""Duration of the newest rows that are read for an idle arm [s]; older rows are skipped."""
 
 
 class Reading:
-    """Reads from one connection.
+    """Reader of the rows during one connection to the PLC.
 
     Args:
-        controller: Connected.
-        options: Of the arm.
-        topic: As `reading_topic` makes it.
+        controller: Connected controller.
+        options: Options of the arm.
+        topic: Topic from `reading_topic`.
 
     Attributes:
-        ring: That is read.
-        watch: Follows the arm.
+        ring: Reader of the PLC's ring buffer.
+        watch: State of the arm.
     """
 
     def __init__(self, controller: Controller, options: Options, topic: Topic) -> None:
@@ -62,7 +63,7 @@ class Reading:
         self._further: list[StructArray] = []
 
     def drain(self) -> Mapping[str, StructArray]:
-        """See `hil.robot.HasTopics`."""
+        """Return the rows about the reading since the last call; see `hil.robot.HasTopics`."""
         further, self._further = self._further, []
         return {TOPIC: np.concatenate(further)} if further else {}
 
@@ -72,7 +73,7 @@ class Reading:
         problem, watch.problem = watch.problem, None
         if problem is not None:
             raise problem
-        # No request waits for longer than the read itself.
+        # A request must not wait longer than the read itself.
         controller.wait_for(max(timeout_s, LEAST_WAIT_S))
         try:
             state = self._await_rows(timeout_s)
@@ -92,7 +93,7 @@ class Reading:
         return rows
 
     def _await_rows(self, timeout_s: float) -> np.void:
-        """Return the PLC's state once a block is there, or a few rows at the time-out."""
+        """Wait for a complete block, or longer for an incomplete one; return the PLC's state."""
         began, wanted, rate = time.monotonic(), self._options.block_rows, self._options.rate_hz
         until = began + timeout_s
         enough = min(until, began + 1.5 * wanted / rate)
@@ -105,13 +106,13 @@ class Reading:
             if now >= until:
                 raise RobotTimeout(
                     f"{self._controller.where} has written no rows within {timeout_s:g} s",
-                    hint="is its task running? TwinCAT shows its cycle",
+                    hint="check in TwinCAT that its task runs",
                 )
             nap = (wanted - waiting) / rate / 2
             time.sleep(max(LEAST_NAP_S, min(nap, until - now)))
 
     def _state(self) -> np.void:
-        """Read `stState`; give the motion up if the PLC is silent for too long."""
+        """Read `stState`; end the motion if the PLC has written no rows for too long."""
         watch, controller = self.watch, self._controller
         try:
             state = controller.state()
@@ -123,14 +124,14 @@ class Reading:
             self._give_up()
             raise RobotTimeout(
                 f"{controller.where} has written no rows for more than {self._options.late_s:g} s: "
-                "its task stands still",
-                hint="see to TwinCAT: is the PLC in run mode, at a breakpoint, or over its cycle "
+                "its task does not run",
+                hint="check TwinCAT: is the PLC in run mode, at a breakpoint, or over its cycle "
                 "time?",
             )
         return state
 
     def _give_up(self) -> None:
-        """Stop, and end the heartbeat: the PLC meets both if it goes on."""
+        """Send a stop and end the heartbeat; a PLC that resumes its cycle then stops the arm."""
         self.watch.faulty = True
         self._controller.beat.silence()
         with suppress(RobotConnectionError):
@@ -141,15 +142,15 @@ class Watch:
     """State of the arm during one connection to the PLC.
 
     Args:
-        session: Number of this connection.
-        late_s: Silence of the PLC that ends a motion [s].
+        session: Number that identifies this connection in the PLC.
+        late_s: Time without new rows of the PLC after which a motion is ended [s].
 
     Attributes:
-        problem: What the next read raises.
+        problem: Exception that the next read raises; None if there is no problem.
         faulty: Whether commands are refused until `connect` is called again.
         moving: Whether a segment was started and no row has shown its end.
-        idle: Whether nothing was started since connecting, or the arm was stopped: rows that were
-            not read for long may be left out then.
+        idle: Whether no segment was started since connecting or since the last stop; if True, old
+            rows can be skipped.
     """
 
     def __init__(self, session: int, late_s: float) -> None:
@@ -161,15 +162,15 @@ class Watch:
         self.idle = True
 
     def begin(self, segment: int) -> None:
-        """Follow a segment that was started."""
+        """Begin to monitor a segment that was just started."""
         self._segment, self.moving, self.idle = segment, True, False
         self._since = time.monotonic()
 
     def advanced(self, head: int) -> bool:
-        """Return whether the PLC has written rows lately.
+        """Return whether the PLC has written rows recently.
 
         Args:
-            head: Rows that it has written so far.
+            head: Number of rows that the PLC has written so far.
         """
         if head != self._head:
             self._head, self._since = head, time.monotonic()
@@ -177,16 +178,16 @@ class Watch:
 
     @property
     def silent(self) -> bool:
-        """Whether the PLC has written no rows for too long."""
+        """Whether the PLC has written no rows for longer than `late_s`."""
         return time.monotonic() - self._since > self._late_s
 
     def see(self, rows: StructArray, state: np.void, describe: Callable[[np.void], str]) -> None:
-        """Update from rows and state; the next read raises the first problem that they show.
+        """Update the arm's state from new rows and `stState`; store a problem for the next read.
 
         Args:
             rows: (N,) state rows.
-            state: `stState`, read before them.
-            describe: Returns words for the fault in `stState`.
+            state: `stState`, read before the rows.
+            describe: Function that returns the text of the fault in `stState`.
         """
         mine = rows[rows["segment"] == self._segment]
         if len(mine) and not mine[-1]["status"] & Status.MOVING:
@@ -194,12 +195,14 @@ class Watch:
         if self.faulty:
             return
         if (rows["status"] & Status.FAULT).any() or state["nPhase"] == Phase.FAULT:
-            problem = RobotFault(describe(state), hint="remove its cause, then connect() again")
+            hint = "remove the cause of the fault, then call connect() again"
+            problem = RobotFault(describe(state), hint=hint)
         elif state["nSession"] != self._session:
             problem = RobotFault(
-                "the PLC has taken the arm away: it had not heard from this computer in time, "
-                "or its program was started anew",
-                hint="was hil suspended, or the computer busy? connect() again",
+                "the PLC has released the arm: no heartbeat of this computer arrived in time, or "
+                "the PLC program was restarted",
+                hint="check whether hil was suspended or the computer overloaded, then call "
+                "connect() again",
             )
         else:
             return
@@ -208,30 +211,32 @@ class Watch:
 
 
 Read = Callable[[int, int], bytes]
-"""Reads bytes of the ring: from which byte on, and how many."""
+"""Function that reads bytes of the ring buffer, from the offset and number of the bytes."""
 
 SAFE_ROWS = 256
-"""Oldest rows that are given up after an overrun: they would be overwritten while they are read."""
+"""Number of oldest rows skipped after an overrun, because the PLC overwrites them during a read."""
 
 TORN_AGAIN = 3
-"""How often a block with a torn row is read, at most."""
+"""Maximum number of attempts to read a block with a partly written row."""
 
 
 class Ring:
-    """Reader of the PLC's ring of rows.
+    """Reader of the PLC's ring buffer of rows.
 
     Args:
-        read: Reads its bytes.
-        row: dtype of a row.
-        rows: Length of the ring.
-        chunk_bytes: Most that is read at once.
+        read: Function that reads bytes of the ring buffer.
+        row: NumPy dtype of a row.
+        rows: Number of rows in the ring buffer.
+        chunk_bytes: Maximum number of bytes in one request.
 
     Attributes:
-        next: Sequence number of the row that is read next.
-        gaps: How often rows were overwritten before they were read.
-        lost: How many rows those were.
-        skipped: Rows left out: nothing had been started, and none were read for long.
-        torn: How often a block was read again because a row in it was being written.
+        next: Number of the row that is read next.
+        gaps: Number of gaps in the sequence of rows, caused by rows that were overwritten before
+            they were read.
+        lost: Number of rows in the gaps.
+        skipped: Number of rows that were skipped because the arm was idle and no rows were read for
+            a long time.
+        torn: Number of blocks that were read again because a row was being written.
     """
 
     def __init__(self, read: Read, row: np.dtype[Any], rows: int, chunk_bytes: int) -> None:
@@ -241,28 +246,28 @@ class Ring:
         self._behind_gap = -1
 
     def begin(self, head: int) -> None:
-        """Begin to read at the row with this number."""
+        """Set the number of the first row to read."""
         self.next = head
 
     def forget(self, head: int, keep: int) -> None:
-        """Leave out what is older than the newest `keep` rows before `head`."""
+        """Skip rows older than the newest `keep` rows before `head`."""
         if head - self.next > keep:
             self.skipped += head - keep - self.next
             self.next = head - keep
 
     def pull(self, head: int) -> StructArray:
-        """Return (N,) rows that have been written and not been read.
+        """Return (N,) rows that have been written and not yet read.
 
         Args:
-            head: Rows written so far; the newest has the number before it.
+            head: Number of rows written so far; the newest row has the number `head` − 1.
 
         Raises:
             RobotConnectionError: The PLC's program was restarted, or rows have wrong numbers.
         """
         if head < self.next:
             raise RobotConnectionError(
-                f"the PLC's program was started anew: {head} rows written, {self.next} were read",
-                hint="see to the PLC, then connect again",
+                f"the PLC program was restarted: it has written {head} rows, {self.next} were read",
+                hint="check the PLC, then connect again",
             )
         if head - self.next > self._rows:
             self._skip_to(head - self._rows + min(SAFE_ROWS, self._rows // 2))
@@ -274,7 +279,7 @@ class Ring:
         return np.concatenate(blocks) if blocks else np.zeros(0, self._row)
 
     def _block(self, count: int) -> StructArray:
-        """Read rows that are adjacent in memory: fewer than `count` at the end of the ring."""
+        """Read adjacent rows in memory: fewer than `count` at the end of the ring buffer."""
         at = self.next % self._rows
         count = min(count, self._rows - at)
         size = self._row.itemsize
@@ -286,18 +291,18 @@ class Ring:
                 return rows
             newest = int(np.minimum(rows["nSequence"], rows["nSequenceEnd"]).max())
             if newest >= self.next + self._rows:
-                # Overtaken while reading: the rest of this lap begins behind the newest.
+                # Overwritten during the read: continue with the oldest rows that still exist.
                 self._skip_to(newest - self._rows + 1 + min(SAFE_ROWS, self._rows // 2))
                 return rows[:0]
             self.torn += 1
         raise RobotConnectionError(
-            f"row {self.next} of the PLC's ring is none: its number is "
+            f"row {self.next} of the PLC's ring buffer is invalid: its numbers are "
             f"{int(rows['nSequence'][0])} and {int(rows['nSequenceEnd'][0])}",
-            hint="is another program running in the PLC? connect again",
+            hint="check whether another program runs in the PLC, then connect again",
         )
 
     def _skip_to(self, number: int) -> None:
-        """Give up the rows before this number; gaps without a row between them count as one."""
+        """Skip all rows before a row number; count adjacent gaps as one gap."""
         self.gaps += self.next != self._behind_gap
         self.lost += number - self.next
         self.next = self._behind_gap = number
@@ -310,15 +315,16 @@ _FIELDS = {
     "qd_target": "aQdTarget", "qdd_target": "aQddTarget", "segment": "nSegment",
     "status": "nStatus", "fault_code": "nFault", "mode": "nPhase",
 }  # fmt: skip
-"""Field of the base record ← field of a row."""
+"""Fields of the base record, each with the field of a row that contains its value."""
 
 
 def state_rows(raw: StructArray, offers: int) -> StructArray:
-    """Return rows of the ring as the base robot record, without `host_time`.
+    """Return rows of the ring buffer as the base robot record, without `host_time`.
 
     Args:
-        raw: (N,) rows.
-        offers: `nOffers`; quantities that the PLC does not measure become NaN.
+        raw: (N,) rows of the ring buffer.
+        offers: Value of `nOffers`, whose bits state which quantities the PLC measures; all others
+            become NaN.
     """
     rows = np.zeros(len(raw), state_dtype(raw.dtype["aQ"].shape[0]))
     rows["device_time"] = raw["nTimeNs"] * NS
@@ -330,18 +336,21 @@ def state_rows(raw: StructArray, offers: int) -> StructArray:
 
 
 class HostClock:
-    """This computer's times of rows, spread over the time since the last block."""
+    """Converter from the device time of rows to the time of this computer.
+
+    The times of a block's rows are distributed over the time since the last block.
+    """
 
     def __init__(self) -> None:
         self._device = self._host = np.nan
 
     def stamp(self, rows: StructArray, now: float, period_s: float) -> None:
-        """Fill in `host_time`.
+        """Fill in the field `host_time` of the rows.
 
         Args:
             rows: (N,) state rows, N ≥ 1.
-            now: Unix time at which the newest was there [s].
-            period_s: Of the rows [s].
+            now: Unix time at which the newest row was available [s].
+            period_s: Period of the rows [s].
         """
         device = rows["device_time"]
         if np.isnan(self._host):
@@ -356,10 +365,10 @@ TOPIC = "/robot/twincat"
 
 
 def reading_topic(rate_hz: float) -> Topic:
-    """Return the topic about the reading itself: each row's number, and the rows lost before it.
+    """Return the topic about the reading, with the number of each row and counts of lost rows.
 
     Args:
-        rate_hz: Rows per second [Hz].
+        rate_hz: Rate of the rows [Hz].
     """
     fields = [
         ("device_time", "<f8"), ("host_time", "<f8"), ("sequence", "<i8"), ("gaps", "<i4"),
@@ -381,13 +390,13 @@ def reading_topic(rate_hz: float) -> Topic:
 
 
 def reading_rows(rows: StructArray, raw: StructArray, ring: Ring, topic: Topic) -> StructArray:
-    """Return the topic's rows for a block.
+    """Return the rows of the topic about the reading for one block.
 
     Args:
         rows: (N,) state rows.
-        raw: (N,) the same rows of the ring.
-        ring: Which has just read them.
-        topic: As `reading_topic` makes it.
+        raw: (N,) rows of the block, as in the ring buffer.
+        ring: Reader that has just fetched the rows.
+        topic: Topic from `reading_topic`.
     """
     reading = topic.blank(len(rows))
     reading["device_time"], reading["host_time"] = rows["device_time"], rows["host_time"]

@@ -1,13 +1,14 @@
-"""Driver of an arm behind a TwinCAT PLC: the PLC owns the cycle, plays and records.
+"""Driver of an arm behind a TwinCAT PLC, which executes and records the motions.
 
-A segment is uploaded, checked by the PLC and played on its own time; meanwhile rows are pulled from
-a ring that the PLC writes in every cycle (`reading`). So only heartbeat and stop have to be
-punctual, and they have lines of their own (`controller`, on the lines of `ads`). A command without
-an answer might be obeyed later: it is followed by a stop, and no further command is given until
-`connect` is called again.
+The driver uploads a segment; the PLC checks the segment and executes one set-point per cycle.
+During the motion the driver fetches rows from a ring buffer, into which the PLC writes in every
+cycle (`reading`). Only heartbeats and stops must be punctual. Therefore each has a separate line to
+the PLC (`controller`, with the lines of `ads`). If a command gets no answer, the PLC possibly
+executes it later. After a command without an answer the driver sends a stop, and refuses further
+commands until `connect` is called again.
 
-The variables by which driver and PLC talk are a contract (`variables`); its other half is the
-PLC program in docs/how-to/drive-twincat.md.
+Driver and PLC communicate by variables, which are defined in a contract (`variables`). The PLC
+program in docs/how-to/drive-twincat.md implements the PLC's side of the contract.
 """
 
 from __future__ import annotations
@@ -39,22 +40,25 @@ from hil_drivers.twincat.reading import Reading, Ring, Watch, reading_topic
 from hil_drivers.twincat.variables import CONTRACT, Order, Phase
 
 AT_SET_POINT_RAD = 1e-3
-"""The PLC begins with the first set-point as it is: it has to be where the arm is held."""
+"""Largest distance from the held set-point to a segment's first set-point [rad].
+
+The PLC does not move the arm to the first set-point before the motion.
+"""
 
 LEAST_BEATS = 3
-"""Beats that have to fit into the PLC's watchdog: one may come late."""
+"""Minimum number of heartbeats within the PLC's watchdog time, because a heartbeat can be late."""
 
 
 class TwinCatRobot:
-    """Implements `hil.robot.Robot` for arms behind a Beckhoff PLC, by ADS.
+    """Implementation of `hil.robot.Robot` for arms behind a Beckhoff PLC, by ADS.
 
     Args:
-        name: The robot's name in its station.
-        model: A built-in arm.
-        options: See `hil_drivers.twincat.options.Options`.
+        name: Name of the robot in its station.
+        model: Name of a built-in arm.
+        options: Options of the station, as described in `hil_drivers.twincat.options.Options`.
 
     Raises:
-        SpecError: An option is missing, unknown, or cannot be.
+        SpecError: An option of the station is missing, unknown or invalid.
     """
 
     def __init__(self, name: str, model: str, **options: Any) -> None:
@@ -63,21 +67,21 @@ class TwinCatRobot:
         self._controller: Controller | None = None
         self._reading: Reading | None = None
         self._topic = reading_topic(self._options.rate_hz)
-        self._prepared: tuple[Segment, int] | None = None  # with the `nStop` it may be started at
+        self._prepared: tuple[Segment, int] | None = None  # with the `nStop` for its start
         self._declared: Payload | None = None
 
     @property
     def resource(self) -> str:
-        """See `hil.robot.HasResource`."""
+        """Identifier of the PLC as an exclusive resource; see `hil.robot.HasResource`."""
         return self._options.resource
 
     @property
     def address(self) -> Address:
-        """See `hil.robot.HasAddress`."""
+        """Address of the PLC; see `hil.robot.HasAddress`."""
         return self._options.route
 
     def reach(self) -> Sequence[Finding]:
-        """See `hil.robot.HasReach`."""
+        """Return whether the PLC can be reached; see `hil.robot.HasReach`."""
         try:
             address = listening_address(self._options)
         except RobotConnectionError as error:
@@ -86,12 +90,12 @@ class TwinCatRobot:
 
     @property
     def identity(self) -> Identity:
-        """See `hil.robot.Robot`."""
+        """Identity of the arm and the PLC; see `hil.robot.Robot`."""
         return self._connected().identity
 
     @property
     def capabilities(self) -> Capabilities:
-        """See `hil.robot.Robot`."""
+        """Capabilities of the arm; see `hil.robot.Robot`."""
         options = self._options
         return capabilities_of(
             self._model, options.rate_hz, options.effort, options.drive_gains_nm_a
@@ -99,36 +103,37 @@ class TwinCatRobot:
 
     @property
     def limits(self) -> Limits:
-        """See `hil.robot.Robot`; once connected, none is wider than what the PLC checks."""
+        """Limits of the arm; while connected, no limit is wider than that of the PLC."""
         controller = self._controller
         reported = None if controller is None else _reported_limits(controller.info)
         return limits_of(self._model, reported, self._options.speed_share)
 
     @property
     def topics(self) -> Sequence[Topic]:
-        """See `hil.robot.HasTopics`."""
+        """Topic about the reading of rows; see `hil.robot.HasTopics`."""
         return (self._topic,)
 
     def drain(self) -> Mapping[str, StructArray]:
-        """See `hil.robot.HasTopics`."""
+        """Return the rows about the reading since the last call; see `hil.robot.HasTopics`."""
         return {} if self._reading is None else self._reading.drain()
 
     def checks(self) -> Sequence[Finding]:
-        """See `hil.robot.HasChecks`."""
+        """Return the preflight checks of this driver; see `hil.robot.HasChecks`."""
         controller = self._healthy()
         ring = self._active_reading().ring
         return list(_findings(controller, ring, self.limits, self._declared))
 
     def connect(self) -> None:
-        """Find the PLC's variables, take the arm, start the heartbeat.
+        """Read the PLC's variables, take control of the arm and start the heartbeat.
 
-        After a fault or a lost connection everything is done anew.
+        After a fault or a lost connection, `connect` opens a new connection.
 
         Raises:
-            RobotConnectionError: No PLC answers, or it has another arm.
-            PluginError: The PLC's program keeps another contract, or none.
-            CommandRefused: Another client has the arm.
-            RobotFault: It has a fault that cannot be reset.
+            RobotConnectionError: No PLC answers, or the PLC has a different arm.
+            PluginError: The PLC's program implements a different version of the contract, or no
+                contract.
+            CommandRefused: Another client controls the arm.
+            RobotFault: The arm has a fault that cannot be reset.
         """
         if self._controller is not None and not self._watch.faulty:
             return
@@ -142,18 +147,18 @@ class TwinCatRobot:
         self._controller, self._declared = controller, None
 
     def set_payload(self, payload: Payload) -> Payload:
-        """Let the PLC compute with a load; return the load that it reports back.
+        """Set the payload in the model of the PLC; return the payload that the PLC reports.
 
         Raises:
-            CommandRefused: It is too heavy, or the arm is moving.
-            RobotError: See `Orders.give`.
+            CommandRefused: The payload is too heavy for the arm, or the arm is moving.
+            RobotError: The command failed; see `Orders.give`.
         """
         controller = self._healthy()
         require_liftable(payload, self.limits)
         with self._stop_unless_answered(controller):
             answer = controller.orders.give(
                 Order.PAYLOAD,
-                "declare a load",
+                "declare a payload",
                 fMass=payload.mass,
                 aCom=payload.com,
                 aInertia=payload.inertia,
@@ -162,19 +167,22 @@ class TwinCatRobot:
         return payload_in(answer)
 
     def prepare(self, segment: Segment) -> None:
-        """Check the next segment and upload it; the PLC checks it as well.
+        """Check the next segment of the plan and upload it to the PLC, which also checks it.
 
         Raises:
-            CommandRefused: It leaves the limits, begins elsewhere, is too long, or the arm moves.
-            RobotFault: There was a fault since `connect`.
-            RobotError: See `Orders.give`.
+            CommandRefused: The segment leaves the limits, does not begin at the held set-point or
+                has too many set-points, or the arm moves.
+            RobotFault: A fault occurred since `connect`.
+            RobotError: The command failed; see `Orders.give`.
         """
         self._prepared = None
         controller = self._healthy()
         with self._stop_unless_answered(controller):
             state, stops = controller.stops.before_start()
             if state["nPhase"] in (Phase.PLAYING, Phase.STOPPING):
-                raise CommandRefused("the arm is still moving", hint="read until it is at rest")
+                raise CommandRefused(
+                    "the arm is still moving", hint="read until the arm is at standstill"
+                )
             standing = controller.variables.newest_row()["aQTarget"]
             require_executable(segment, self.limits, standing, at_set_point_rad=AT_SET_POINT_RAD)
             if segment.kind != "hold":
@@ -182,11 +190,12 @@ class TwinCatRobot:
         self._prepared = segment, stops
 
     def start(self) -> None:
-        """Begin the prepared segment.
+        """Start the motion along the prepared segment.
 
         Raises:
-            CommandRefused: Nothing is prepared, the arm moves, or was stopped since `prepare`.
-            RobotError: See `Orders.give`.
+            CommandRefused: No segment is prepared, the arm moves, or the arm was stopped since
+                `prepare`.
+            RobotError: The command failed; see `Orders.give`.
         """
         prepared, self._prepared = self._prepared, None
         controller = self._healthy()
@@ -200,24 +209,24 @@ class TwinCatRobot:
         self._watch.begin(segment.index)
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
-        """Return all rows since the last call, at least `block_rows` where time allows.
+        """Wait for a block of rows, and return all rows since the last call.
 
-        The rows that show a fault are returned; the next call raises the fault, once, so that the
-        arm can be followed until it is at rest.
+        A call returns also the rows that show a fault. The call after these rows raises the fault,
+        one time only, so that the motion of the arm is recorded until the arm is at rest.
 
         Raises:
-            RobotTimeout: No row was written in time.
-            RobotFault: The PLC has a fault, or has taken the arm away.
-            RobotConnectionError: The connection is gone.
+            RobotTimeout: The PLC has written no row within the timeout.
+            RobotFault: The PLC has a fault, or has ended this client's control of the arm.
+            RobotConnectionError: The connection to the PLC is lost.
         """
         self._connected()
         return self._active_reading().read(timeout_s)
 
     def stop(self) -> None:
-        """Bring the arm to rest on the PLC's own ramp.
+        """Bring the arm to rest along the ramp of the PLC.
 
         Raises:
-            RobotConnectionError: The PLC was not reached; its watchdog stops the arm.
+            RobotConnectionError: The PLC was not reached; the watchdog of the PLC stops the arm.
         """
         controller, reading = self._controller, self._reading
         self._prepared = None
@@ -226,7 +235,7 @@ class TwinCatRobot:
             controller.stop()
 
     def close(self) -> None:
-        """Stop, release the arm, close the connection."""
+        """Stop the arm, release it for other clients, and close the connection."""
         if self._controller is None:
             return
         try:
@@ -256,7 +265,7 @@ class TwinCatRobot:
         if not controller.beat.alive:
             why = controller.beat.problem
             raise RobotConnectionError(
-                f"{controller.where} does not get our heartbeat any more"
+                f"{controller.where} receives no heartbeat any more"
                 + (f": {why.message}" if why else ""),
                 hint="connect() again",
             )
@@ -264,7 +273,10 @@ class TwinCatRobot:
 
     @contextmanager
     def _stop_unless_answered(self, controller: Controller) -> Iterator[None]:
-        """Stop if a command in this context gets no answer: it might be obeyed later."""
+        """Stop the arm if a command inside the `with` block gets no answer.
+
+        The PLC possibly executes an unanswered command later.
+        """
         watch = self._watch
         try:
             yield
@@ -285,7 +297,7 @@ class TwinCatRobot:
 
 
 def _reported_limits(info: np.void) -> ReportedLimits:
-    """Return the limits that the PLC checks, by its `stInfo`."""
+    """Return the limits that the PLC checks, as reported in `stInfo`."""
     return ReportedLimits(
         q_min=info["aQMin"],
         q_max=info["aQMax"],
@@ -298,13 +310,13 @@ def _reported_limits(info: np.void) -> ReportedLimits:
 def _findings(
     controller: Controller, ring: Ring, limits: Limits, declared: Payload | None
 ) -> Iterator[Finding]:
-    """Yield the driver's lines of a preflight, with the figures.
+    """Yield the driver's preflight checks, each with its measured value.
 
     Args:
-        controller: Connected.
-        ring: As it is read.
-        limits: That plans are held against.
-        declared: The load that the PLC was last given; None when it was not.
+        controller: Connected controller.
+        ring: Reader of the ring buffer, for its counts of lost rows.
+        limits: Limits against which plans are checked.
+        declared: Payload that was last declared to the PLC; None if there is none.
     """
     info, state = controller.info, controller.state()
     computed = payload_in(controller.variables.structure("stAnswer"))
@@ -316,39 +328,40 @@ def _findings(
 
     phase = int(state["nPhase"])
     name = Phase(phase).name if phase in tuple(Phase) else str(phase)
-    message = f"the PLC's program says {name}"
+    message = f"the PLC program is in phase {name}"
     if phase == Phase.FAULT:
         message += f", {controller.fault(state)}"
-    hint = "see to the drives and the PLC's program"
+    hint = "check the drives and the PLC program"
     yield Finding("phase", phase == Phase.HOLDING, message, name, "HOLDING", hint)
 
     session, ours = int(state["nSession"]), controller.session
-    obeys = "this computer" if session == ours else "somebody else"
+    client = "this computer" if session == ours else "another client"
     hint = "end the other client, then connect again"
-    yield Finding(
-        "session", session == ours, f"the PLC obeys {obeys}", str(session), str(ours), hint
-    )
+    message = f"{client} controls the arm"
+    yield Finding("session", session == ours, message, str(session), str(ours), hint)
 
     cycle_s = float(info["fCycleS"])
     yield Finding("cycle", True, f"cycle {cycle_s * 1e3:g} ms, contract {CONTRACT}", cycle_s)
 
     watchdog_s, least_s = controller.watchdog_s, LEAST_BEATS * EVERY_S
     message = (
-        f"the PLC stops the arm {watchdog_s:g} s after our last beat, one comes every {EVERY_S:g} s"
+        f"the PLC stops the arm {watchdog_s:g} s after the last heartbeat, which is sent every "
+        f"{EVERY_S:g} s"
     )
     hint = "set fWatchdogS in the PLC to some tenths of a second"
     right = least_s <= watchdog_s <= 1.0
     yield Finding("watchdog", right, message, watchdog_s, f"{least_s:g} … 1 s", hint)
 
-    # Plans are held against the stricter limits of maker and PLC.
+    # Plans are checked against the stricter limits of manufacturer and PLC.
     wider = _reported_limits(info).exceeded_by(limits)
-    message = "joint limits used are no wider than what the PLC checks"
+    message = "the joint limits used are within those that the PLC checks"
     yield Finding("joint-limits", not wider.any(), message, int(wider.sum()), 0)
 
-    yield payload_finding(declared, computed, "see to the PLC's program")
+    yield payload_finding(declared, computed, "check the PLC program")
 
     rows = int(info["nRingRows"])
-    message = f"ring of {rows} rows ({rows * cycle_s:.1f} s): {ring.lost} rows lost in {ring.gaps} "
-    message += "gaps" + (f", {ring.torn} blocks read again" if ring.torn else "")
-    hint = "something kept hil from reading: look for other load on this computer"
+    message = f"ring buffer of {rows} rows ({rows * cycle_s:.1f} s): "
+    message += f"{ring.lost} rows lost in {ring.gaps} gaps"
+    message += f", {ring.torn} blocks read again" if ring.torn else ""
+    hint = "end other programs on this computer: they delay the reading"
     yield Finding("ring", ring.lost == 0, message, ring.lost, 0, hint)

@@ -1,13 +1,15 @@
-"""The contract with the PLC: its variables, their layouts, and what the numbers in them mean.
+"""Contract with the PLC: the variables, their layouts, and the meanings of their values.
 
-The contract's other half, in structured text, is in docs/how-to/drive-twincat.md. `layout_of` has
-the layout of every variable; `Variables` finds them in the PLC once, compares their sizes with the
-layouts, and reads them as structures.
+The PLC's side of the contract, in structured text, is in docs/how-to/drive-twincat.md. `layout_of`
+returns the layout of every variable. When connecting, `Variables` requests the addresses of the
+variables and compares their sizes with the layouts. Later `Variables` reads the variables as
+structures.
 
-A program that is changed online moves variables. So every read asks for the version of the symbols
-in the same request, and variables are written by handle, which such a PLC refuses. Only parts of an
-array cannot be written by handle: the version is read before each chunk of set-points, and the PLC
-adds up all words that have arrived (`sums_of`).
+Online changes of the PLC program can move variables in memory. Therefore every read also requests
+the symbol version, and variables are written by handle, because a changed PLC program rejects old
+handles. Parts of an array cannot be written by handle. Therefore the driver reads the symbol
+version before each chunk of set-points, and the PLC computes checksums of the received words
+(`sums_of`).
 """
 
 from __future__ import annotations
@@ -25,17 +27,17 @@ from hil_drivers.twincat.ads import RUN, STATES, Line, Place, changed_online, on
 from hil_drivers.twincat.options import Options
 
 CONTRACT = 2
-"""Version of the contract; a PLC with another one is not driven."""
+"""Version of the contract; the driver rejects a PLC with a different version."""
 
 TORQUE, CURRENT = 1, 2
-"""Values of `nEffort`: what the drives measure."""
+"""Values of `nEffort`, which states the quantity that the drives measure."""
 
 TEMPERATURES, EFFORT_TARGETS = 1, 2
-"""Bits of `nOffers`: what the PLC measures beside position, speed and effort."""
+"""Bits of `nOffers`, which states the measured quantities besides position, speed and effort."""
 
 
 class Phase(IntEnum):
-    """Values of `nPhase`: what the arm is doing."""
+    """Phase of the arm, as encoded in `nPhase`."""
 
     NOT_READY = 0
     HOLDING = 1
@@ -45,7 +47,7 @@ class Phase(IntEnum):
 
 
 class Order(IntEnum):
-    """Values of `nCommand`."""
+    """Command to the PLC, as encoded in `nCommand`."""
 
     TAKE = 1
     LOAD = 2
@@ -56,7 +58,7 @@ class Order(IntEnum):
 
 
 class Result(IntEnum):
-    """Values of `nResult` in an answer."""
+    """Result of a command, as encoded in `nResult` of an answer."""
 
     DONE = 0
     UNKNOWN = 1
@@ -79,25 +81,26 @@ class Result(IntEnum):
 
 
 REASONS: Mapping[int, str] = {
-    Result.UNKNOWN: "it does not know this command",
-    Result.NOT_YOURS: "somebody else has the arm, or nobody since this connection fell silent",
-    Result.HELD: "another client has the arm",
+    Result.UNKNOWN: "the PLC does not know this command",
+    Result.NOT_YOURS: "this client does not control the arm: another client does, or the PLC has "
+    "released the arm because no heartbeat arrived",
+    Result.HELD: "another client controls the arm",
     Result.BUSY: "the arm is moving",
-    Result.CHECKSUM: "what it received is not what was sent",
-    Result.TOO_MANY: "there are more set-points than it has room for",
-    Result.POSITION: "it leaves the joint range",
-    Result.VELOCITY: "it is too fast",
-    Result.ACCELERATION: "it accelerates too hard",
-    Result.ELSEWHERE: "it begins elsewhere than the arm stands",
+    Result.CHECKSUM: "the received set-points differ from those sent",
+    Result.TOO_MANY: "there are more set-points than the PLC can store",
+    Result.POSITION: "a set-point is outside the joint range",
+    Result.VELOCITY: "the velocity is too high",
+    Result.ACCELERATION: "the acceleration is too high",
+    Result.ELSEWHERE: "the segment does not begin at the present position of the arm",
     Result.NOT_LOADED: "no set-points are loaded",
-    Result.STOPPED: "it was stopped meanwhile",
-    Result.FAULT: "it has a fault",
-    Result.TOO_HEAVY: "the load is too heavy",
-    Result.NOT_AT_REST: "it does not begin and end at rest",
-    Result.NO_NUMBER: "it holds numbers that are none",
-    Result.JUMP: "set-points are farther apart than the joint can go in a cycle",
+    Result.STOPPED: "the arm was stopped meanwhile",
+    Result.FAULT: "the arm is in a fault",
+    Result.TOO_HEAVY: "the payload is too heavy",
+    Result.NOT_AT_REST: "the segment does not begin and end at standstill",
+    Result.NO_NUMBER: "a value is not a finite number",
+    Result.JUMP: "set-points are farther apart than the joint can move in a cycle",
 }
-"""Words for the results other than DONE."""
+"""Message text of each result except DONE."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,24 +108,25 @@ class Layout:
     """Layouts of the PLC's variables for an arm with n joints.
 
     Attributes:
-        types: Variable without prefix → dtype; of arrays, of one element.
+        types: NumPy dtype of each variable, by the name without prefix; for an array, the dtype of
+            one element.
     """
 
     types: Mapping[str, np.dtype[Any]]
 
     @property
     def row(self) -> np.dtype[Any]:
-        """The dtype of a row of the ring."""
+        """NumPy dtype of one row of the ring buffer."""
         return self.types["aRing"]
 
     @property
     def set_point(self) -> np.dtype[Any]:
-        """The dtype of a row of the trajectory."""
+        """NumPy dtype of one row of the trajectory."""
         return self.types["aSetPoints"]
 
 
 def layout_of(n: int) -> Layout:
-    """Return the layouts for n joints; every field lies at a multiple of its size."""
+    """Return the layouts for n joints; every field is aligned to a multiple of its size."""
     axes = (n,)
     info = [
         ("fCycleS", "<f8"), ("fWatchdogS", "<f8"), ("fStopRadS2", "<f8"), ("fPayloadMax", "<f8"),
@@ -170,31 +174,32 @@ def layout_of(n: int) -> Layout:
 
 
 LENGTHS = {"aSetPoints": "nSetPoints", "aRing": "nRingRows"}
-"""Arrays, each with the field of `stInfo` that has its length."""
+"""Name of the `stInfo` field that contains the length, for each array."""
 
 WRITTEN_BY_HANDLE = ("stCommand", "stBeat", "nStop")
-"""Variables that are written whole: old handles are refused, old offsets are not."""
+"""Variables that are written as a whole, by handle, because the PLC rejects old handles."""
 
 _DOWNLOAD = "download the PLC program that docs/how-to/drive-twincat.md describes"
 
 
 class Variables:
-    """The variables of the contract, in one PLC.
+    """Access to the contract's variables in one PLC.
 
     Args:
-        line: Opened.
-        layout: Of the variables.
-        options: Of the arm.
+        line: Open line to the PLC.
+        layout: Layouts of the variables.
+        options: Options of the arm.
 
     Raises:
-        PluginError: A variable is missing, or the program keeps another contract.
-        RobotError: The line fails, or the runtime does not run.
+        PluginError: A variable is missing, or the PLC's program implements a different version of
+            the contract.
+        RobotError: The request on the line failed, or the PLC's runtime is not running.
 
     Attributes:
-        layout: As given.
-        info: `stInfo` as it was read.
-        moved: Called once the program turns out to have been changed online, before the error for
-            that is raised.
+        layout: Layouts of the variables.
+        info: Structure `stInfo` as read when connecting.
+        moved: Callback that is called before the error for a program that was changed online is
+            raised.
     """
 
     def __init__(self, line: Line, layout: Layout, options: Options) -> None:
@@ -207,10 +212,10 @@ class Variables:
         self._places = {name: line.place(f"{prefix}.{name}") for name in layout.types}
         if (contract := int(self.structure("nContract"))) != CONTRACT:
             raise PluginError(
-                f"{line.where}: its program keeps version {contract} of the contract, this driver "
-                f"{CONTRACT}",
-                hint="download the PLC program of docs/how-to/drive-twincat.md, or the hil that "
-                "fits",
+                f"{line.where}: its program implements version {contract} of the contract, this "
+                f"driver version {CONTRACT}",
+                hint="download the PLC program of docs/how-to/drive-twincat.md, or install the "
+                "matching version of hil",
             )
         for name, kind in layout.types.items():
             self._require_size(name, kind)
@@ -221,57 +226,57 @@ class Variables:
             self._handles[name] = line.handle(f"{prefix}.{name}")
 
     def handle(self, name: str) -> Place:
-        """Return the handle of one of `WRITTEN_BY_HANDLE`, to be written on another line."""
+        """Return the handle of a variable in `WRITTEN_BY_HANDLE`, for writing on another line."""
         return self._handles[name]
 
     def release(self) -> None:
-        """Give the handles back; raises as `Line.read`."""
+        """Release all handles in the PLC; raise the same exceptions as `Line.read`."""
         for handle in self._handles.values():
             self._line.release(handle)
 
     def read(
         self, name: str, start: int = 0, size: int | None = None, line: Line | None = None
     ) -> bytes:
-        """Read bytes of a variable, unless it has moved.
+        """Read bytes of a variable; raise if the program was changed online.
 
         Args:
-            name: Of the variable.
-            start: First byte.
-            size: How many; all when None.
-            line: To read it on; the one of all others when None.
+            name: Name of the variable.
+            start: Offset of the first byte.
+            size: Number of bytes; None for all bytes after `start`.
+            line: Line for the request; None for the default line.
 
         Raises:
-            RobotFault: The program was changed online.
-            RobotError: As `Line.read`.
+            RobotFault: The program of the PLC was changed online.
+            RobotError: The request failed; see `Line.read`.
         """
         data, version = (line or self._line).read_versioned(self._places[name], start, size)
         self._require_version(version)
         return data
 
     def structure(self, name: str, line: Line | None = None) -> np.void:
-        """Read a variable that is no array; raises as `read`."""
+        """Read a variable that is not an array; raise the same exceptions as `read`."""
         return one(self.read(name, line=line), self.layout.types[name])
 
     def command(self, data: bytes) -> None:
-        """Write `stCommand`; raises as `read`."""
+        """Write the variable `stCommand`; raise the same exceptions as `read`."""
         self._require_version(self._line.version())
         self._line.write(self._handles["stCommand"], data)
 
     def newest_row(self) -> np.void:
-        """Read the row of the ring that was written last; raises as `read`."""
+        """Read the newest row of the ring buffer; raise the same exceptions as `read`."""
         rows, size = int(self.info["nRingRows"]), self.layout.row.itemsize
         at = (int(self.structure("stState")["nHead"]) - 1) % rows * size
         return one(self.read("aRing", at, size), self.layout.row)
 
     def upload(self, segment: Segment) -> dict[str, Any]:
-        """Write the set-points of a segment; return the fields of the command that loads them."""
+        """Write the set-points of a segment; return the fields of the LOAD command."""
         rows = set_points(segment, self.layout.set_point)
         upload(rows, self._write_set_points, self._options.chunk_bytes)
         a, b = sums_of(rows)
         return {"nRows": len(rows), "nSumA": a, "nSumB": b}
 
     def _write_set_points(self, data: bytes, start: int) -> None:
-        """Write part of the array, which cannot be done by handle: compare the version before."""
+        """Write part of the set-points after a check of the symbol version instead of a handle."""
         self._require_version(self._line.version())
         self._line.write(self._places["aSetPoints"], data, start)
 
@@ -292,8 +297,8 @@ class Variables:
         size = self._places[name].size
         if size % kind.itemsize if name in LENGTHS else size != kind.itemsize:
             raise PluginError(
-                f"{self._line.where}: {name} has {size} bytes, the contract says "
-                f"{kind.itemsize}{' a row' if name in LENGTHS else ''}",
+                f"{self._line.where}: {name} has {size} bytes, the contract requires "
+                f"{kind.itemsize}{' per row' if name in LENGTHS else ''}",
                 hint=_DOWNLOAD,
             )
 
@@ -301,31 +306,31 @@ class Variables:
         size, count = self._places[name].size, int(self.info[LENGTHS[name]])
         if count < 1 or size != count * self.layout.types[name].itemsize:
             raise PluginError(
-                f"{self._line.where}: {name} has {size} bytes, stInfo tells of {count} rows",
-                hint="let the PLC program fill stInfo from the constants of the arrays",
+                f"{self._line.where}: {name} has {size} bytes, stInfo reports {count} rows",
+                hint="let the PLC program set stInfo from the constants of the arrays",
             )
 
 
 Write = Callable[[bytes, int], None]
-"""Writes bytes into the PLC's array of set-points, from this byte on."""
+"""Function that writes data into the PLC's array of set-points at a byte offset."""
 
 SUM_MODULO = 2**32
 
 
 def set_points(segment: Segment, kind: np.dtype[Any]) -> StructArray:
-    """Return (N,) rows of the PLC's array for the samples of a segment."""
+    """Return the N samples of a segment as rows of the PLC's array of set-points."""
     rows = np.zeros(len(segment.q), kind)
     rows["aQ"], rows["aQd"], rows["aQdd"] = segment.q, segment.qd, segment.qdd
     return rows
 
 
 def upload(rows: StructArray, write: Write, chunk_bytes: int) -> None:
-    """Write set-points, whole rows at a time.
+    """Write set-points in chunks of whole rows.
 
     Args:
         rows: (N,) set-points.
-        write: Called with each chunk and its first byte.
-        chunk_bytes: Most that is written at once.
+        write: Function called with each chunk and the offset of its first byte.
+        chunk_bytes: Maximum number of bytes in a chunk.
     """
     most = max(1, chunk_bytes // rows.itemsize)
     for first in range(0, len(rows), most):
@@ -333,11 +338,12 @@ def upload(rows: StructArray, write: Write, chunk_bytes: int) -> None:
 
 
 def sums_of(rows: StructArray) -> tuple[int, int]:
-    """Return the sum of all 32-bit words, and the sum of its intermediate results, modulo 2³².
+    """Return the two Fletcher checksums of set-points, modulo 2³².
 
-    The second sum depends on the order of the words (J. G. Fletcher, 1982).
+    The first checksum is the sum of all 32-bit words. The second checksum is the sum of the
+    intermediate sums, and therefore depends on the order of the words (Fletcher, 1982).
     """
     words = np.frombuffer(rows.tobytes(), "<u4").astype(np.uint64)
-    # Wraps at 2⁶⁴, which keeps what is left modulo 2³².
+    # The products wrap at 2⁶⁴, which does not change the result modulo 2³².
     weights = np.arange(len(words), 0, -1, dtype=np.uint64)
     return int(words.sum()) % SUM_MODULO, int((weights * words).sum()) % SUM_MODULO

@@ -1,7 +1,8 @@
-"""Universal Robots over RTDE: motion through `ur-rtde`, samples by our own reader.
+"""Driver for arms of Universal Robots: `ur-rtde` moves the arm, an RTDE client reads its state.
 
-`robot` is what `hil` uses. It listens to the controller in this process (`controller`, with
-`rtde` and `state` for its rows, `dashboard` and `primary` for its other ports) and moves the arm
-in another one: `motion` is that process from both sides, `servo` leads the arm tick by tick, and
-`control` is `ur-rtde` with every answer looked at. `options` is what a station says.
+The module `robot` contains the driver class that `hil` uses. The driver's own process reads the
+controller: the module `controller` uses `rtde` and `state` to receive rows of the controller's
+state, and `dashboard` and `primary` for the other ports. A second process moves the arm: the module
+`motion` contains this process and its client, `servo` sends set-points tick by tick, and `control`
+wraps `ur-rtde`. The module `options` defines the options of the arm in the station file.
 """

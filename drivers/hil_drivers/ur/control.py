@@ -1,12 +1,15 @@
-"""`ur-rtde`'s control interface with every answer looked at: `False` is an error, and says which.
+"""Wrapper of the control interface of `ur-rtde` that converts every failed call into an exception.
 
-Its commands return `False` without a word when the program does not run, in a protective stop and
-on time-outs; its stops return nothing at all; vectors of a wrong length shift what the controller
-reads. None of that leaves this file.
+Commands of `ur-rtde` return `False` without a reason if the robot program does not run, during a
+protective stop, and after a time-out. The stop commands of `ur-rtde` return nothing. If a vector
+passed to `ur-rtde` has the wrong length, the controller reads all following values from shifted
+positions.
 
-Nor does it say that its connection is another one: it connects again by itself, and while it does,
-its set-points are lost with every answer `True`, and the stop of its program may be overwritten by
-the next set-point before the program sees it. `OwnLine` notices that by the sockets it opened.
+`ur-rtde` also reconnects to the controller by itself, without notifying the caller. During a
+reconnection, `ur-rtde` loses set-points although every call returns `True`. The next set-point can
+also overwrite the command that stops the robot program before the program has read that command.
+The class `OwnLine` detects a reconnection: it checks whether the sockets that the library opened
+are unchanged.
 """
 
 from __future__ import annotations
@@ -27,30 +30,33 @@ from hil_drivers.ur.rtde import RTDE_PORT
 LIBRARY = "rtde_control"
 
 IN_USE_WAITS_S = (0.5, 1.0, 2.0)
-"""How long to wait before each further try while somebody else owns the inputs: a session that
-has crashed keeps them for a while [s]."""
+"""Waiting times [s] before each new attempt to connect while another client owns the RTDE
+inputs; after a crash, the dead session still owns the inputs for some seconds."""
 
 NO_COM_M = 1e-6
-"""In place of a centre of mass of zeros, which 5.x takes for "keep the one you have" [m]."""
+"""Centre of mass [m] that replaces a zero centre of mass, because software 5.x interprets zeros
+as "keep the present centre of mass"."""
 
 N = 6
 
 
 class Control:
-    """The robot program that carries out commands, and the connection to it; for one thread.
+    """Connection to the robot program that executes the commands of `ur-rtde`.
 
-    Its constructor holds the interpreter, for seconds when something is wrong and for ever when
-    the controller does not answer: only in a process that may be killed.
+    Only one thread at a time may use the connection.
+
+    The constructor blocks the Python interpreter: for seconds after an error, and forever if the
+    controller does not answer. Create an instance only in a process that can be killed.
 
     Args:
-        address: Of the controller.
-        frequency_hz: Of the controller's state.
-        series: Major and minor version of its software.
-        library: Module that offers `RTDEControlInterface`.
+        address: Address of the controller.
+        frequency_hz: Number of states per second that the controller sends.
+        series: Major and minor version of the controller's software.
+        library: Name of the Python module that contains the class `RTDEControlInterface`.
 
     Raises:
         PluginError: `ur-rtde` is not installed.
-        RobotConnectionError: No controller answers, or another client owns the inputs.
+        RobotConnectionError: No controller answers, or another client owns the RTDE inputs.
     """
 
     def __init__(
@@ -64,7 +70,7 @@ class Control:
         self._series = series
         self._period_s = 1.0 / frequency_hz
         kind = _library(library)
-        # The force-torque input is one more register that somebody else might own.
+        # The force-torque input is an additional register that another client can own.
         flags = int(kind.FLAG_UPLOAD_SCRIPT) | int(kind.FLAG_NO_EXT_FT)
         self._line = OwnLine()
         with self._line.opened():
@@ -72,49 +78,52 @@ class Control:
 
     @property
     def connected(self) -> bool:
-        """Whether it has the connection it was opened with; no other one is to be trusted."""
+        """Whether the first connection to the controller is still open.
+
+        A later connection to the controller does not count.
+        """
         return self._line.kept
 
     @property
     def playing(self) -> bool:
-        """Whether the robot program runs, as far as this connection has received."""
+        """Whether the robot program runs, according to the latest data of this connection."""
         return bool(self._ask("isProgramRunning"))
 
     @property
     def operation(self) -> tuple[int, bool]:
-        """Number of the newest asynchronous operation, and whether it is running."""
+        """Identifier of the newest asynchronous operation, and whether the operation is running."""
         status = self._ask("getAsyncOperationProgressEx")
         return int(status.operationId()), bool(status.isAsyncOperationRunning())
 
     def arm_watchdog(self, least_hz: float) -> None:
-        """From now on the program stops when it is commanded less often than this."""
+        """Arm the watchdog: the program stops if commands arrive at less than `least_hz` [Hz]."""
         self._command("setWatchdog", least_hz)
 
     def kick(self) -> None:
-        """Reset the watchdog; clears the command register."""
+        """Reset the watchdog; this call clears the command register."""
         self._command("kickWatchdog")
 
     def move_j(self, q: Sequence[float], speed: float, acceleration: float) -> None:
-        """Begin a move of the controller's own; comes back at once (a few ticks)."""
+        """Start a move planned by the controller; return within a few ticks."""
         self._command("moveJ", _six(q), speed, acceleration, True)
 
     def servo_j(self, q: Sequence[float], lookahead_s: float, gain: float) -> None:
-        """Lead the arm to the next set-point."""
+        """Send the next `servoj` set-point."""
         self._command("servoJ", _six(q), 0.0, 0.0, self._period_s, lookahead_s, gain)
 
     def servo_stop(self, deceleration: float) -> None:
-        """End leading; comes back when the arm has come to rest [m/s²]."""
+        """End a `servoj` motion with a tool deceleration [m/s²]; return when the arm is at rest."""
         self._command("servoStop", deceleration)
 
     def stop_j(self, deceleration: float) -> None:
-        """End a move; comes back when the arm has come to rest [rad/s²].
+        """End a move with a joint deceleration [rad/s²]; return when the arm is at rest.
 
-        It says nothing about how that went: whoever calls it has to look at the arm.
+        The method reports no failure: the caller must check that the arm is at rest.
         """
         self._ask("stopJ", deceleration)
 
     def set_payload(self, payload: Payload) -> None:
-        """Declare a load, with its inertia where the controller takes one."""
+        """Declare a payload to the controller, with its inertia if the software accepts one."""
         com = list(payload.com)
         if self._series >= (5, 10):
             inertia = list(payload.inertia)
@@ -125,7 +134,7 @@ class Control:
         self._command("setPayload", payload.mass, com)
 
     def end(self) -> None:
-        """End the program and release the inputs; takes half a second."""
+        """End the robot program and release the RTDE inputs; the call takes half a second."""
         try:
             if self.playing:
                 self._ask("stopScript")
@@ -137,12 +146,17 @@ class Control:
             raise self._refused(what)
 
     def _ask(self, what: str, *details: object) -> Any:
-        """Whatever its C++ throws is an error of ours."""
+        """Call a method of `ur-rtde` and convert every exception that the method raises.
+
+        Raises:
+            CommandRefused: The library rejects an argument (`ValueError`).
+            RobotConnectionError: The library raises an exception other than `ValueError`.
+        """
         try:
             return getattr(self._rtde, what)(*details)
         except ValueError as error:
             raise CommandRefused(
-                f"ur-rtde does not send {what}: {error}", hint="plan within what it takes"
+                f"ur-rtde rejects {what}: {error}", hint="plan within the limits of ur-rtde"
             ) from error
         except Exception as error:
             raise RobotConnectionError(
@@ -154,7 +168,7 @@ class Control:
         runs = "its program runs" if self.playing else "its program does not run"
         return CommandRefused(
             f"the controller has not accepted {what}: {runs}",
-            hint="look for a stop or a message at the teach pendant; connect again once it is gone",
+            hint="look for a stop or a message at the teach pendant, then connect again",
         )
 
 
@@ -168,11 +182,11 @@ def _library(name: str) -> Any:
 
 
 def _opened(kind: Any, address: str, frequency_hz: float, flags: int) -> Any:
-    """The interface, tried again while a session that has gone still owns the inputs."""
+    """Create the control interface; retry while a dead session still owns the RTDE inputs."""
     for wait_s in (*IN_USE_WAITS_S, None):
         try:
             return kind(address, frequency_hz, flags)
-        except Exception as error:  # RuntimeError, and what its C++ throws
+        except Exception as error:  # RuntimeError, and exceptions of the C++ code
             if "already in use" not in str(error):
                 raise _unreachable(address, str(error)) from error
             if wait_s is None:
@@ -182,7 +196,9 @@ def _opened(kind: Any, address: str, frequency_hz: float, flags: int) -> Any:
 
 
 def _unreachable(address: str, said: str) -> RobotConnectionError:
-    hint = "is the address right, the arm switched on and, on an e-Series, in remote control?"
+    hint = (
+        "check the address, that the arm is switched on and that an e-Series is in remote control"
+    )
     if "remote control" in said:
         hint = "switch the arm to remote control at the teach pendant"
     return RobotConnectionError(f"{address}: the controller cannot be commanded: {said}", hint=hint)
@@ -190,9 +206,9 @@ def _unreachable(address: str, said: str) -> RobotConnectionError:
 
 def _owned(address: str, said: str) -> RobotConnectionError:
     return RobotConnectionError(
-        f"{address}: somebody else owns the inputs that move the arm: {said}",
+        f"{address}: another client owns the inputs that move the arm: {said}",
         hint="end the other program that drives it; switch EtherNet/IP, PROFINET and MODBUS off "
-        "at the teach pendant; a session that has crashed lets go after a while",
+        "at the teach pendant; a crashed session releases the inputs after some seconds",
     )
 
 
@@ -201,7 +217,7 @@ def _six(q: Sequence[float]) -> list[float]:
     if len(numbers) != N:
         raise CommandRefused(
             f"a UR arm takes {N} joint angles, not {len(numbers)}",
-            hint="the plan is for another arm",
+            hint="plan for this arm: the plan is for a different one",
         )
     return numbers
 
@@ -209,25 +225,32 @@ def _six(q: Sequence[float]) -> list[float]:
 OPEN_FILES = "/proc/self/fd", "/dev/fd"
 
 Socket: TypeAlias = tuple[int, int, int]
-"""Descriptor, device, inode: a number may be given away again, all three together are not."""
+"""Identity of a socket: file descriptor, device and inode.
+
+The number of a file descriptor can be reused, whereas the combination of descriptor, device and
+inode is unique.
+"""
 
 
 class OwnLine:
-    """The RTDE connections of this process that somebody opens while `opened` is entered."""
+    """RTDE connections of this process that are opened inside the block `with opened()`."""
 
     def __init__(self) -> None:
         self._mine: frozenset[Socket] = frozenset()
 
     @contextlib.contextmanager
     def opened(self) -> Iterator[None]:
-        """Find the connections that are opened inside the block."""
+        """Record the connections that are opened inside the `with` block."""
         before = _connections()
         yield
         self._mine = _connections() - before
 
     @property
     def kept(self) -> bool:
-        """Whether all of them are still open, the very same ones; costs a microsecond."""
+        """Whether all recorded connections are still open and unchanged.
+
+        The check of the connections takes a microsecond.
+        """
         return all(_is_open(each) for each in self._mine)
 
 
@@ -238,7 +261,7 @@ def _connections() -> frozenset[Socket]:
 
 
 def _rtde(number: int) -> Socket | None:
-    """The socket behind a descriptor, if it leads to an RTDE server."""
+    """Return the identity of a socket if its peer is an RTDE server, else None."""
     with contextlib.suppress(OSError):
         about = os.fstat(number)
         if stat.S_ISSOCK(about.st_mode):

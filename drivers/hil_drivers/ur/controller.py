@@ -1,13 +1,13 @@
-"""One controller as it is asked and listened to: is it the right arm, and may it be moved?
+"""Connection to one UR controller: state, checks and limits, without any motion command.
 
-A controller says of itself by four ports: RTDE its state (`rtde.Receiver`), the dashboard server
-its model, serial number and control mode (`DashboardFacts`), the primary interface its joint limits
-(`primary`). `Controller` holds all of that; nothing here commands the arm. Three looks at it, each
-naming every reason at once:
-
-- `require_ready`, when it is connected, raises unless the arm is the station's and may be moved;
-- `Controller.findings` are the driver's lines of a preflight;
-- `reached` is asked from afar, by `hil doctor`, and does not connect to RTDE.
+A controller offers its data on three ports: RTDE sends the state (`rtde.Receiver`), the dashboard
+server reports model, serial number and control mode (`DashboardFacts`), and the primary interface
+reports the joint limits (`primary`). `Controller` combines the data of the three ports: RTDE,
+dashboard server and primary interface. The checks of a controller (`require_ready`,
+`Controller.findings`, `reached`) report all problems at once, not only the first problem.
+`require_ready` raises an error during the connection unless the connected arm is the arm of the
+station and can be moved. `Controller.findings` yields the preflight findings of the driver.
+`reached` checks the ports and the dashboard for `hil doctor`, without an RTDE session.
 """
 
 from __future__ import annotations
@@ -50,34 +50,42 @@ from hil_drivers.ur.state import (
 READ_BACK_S = 2.0
 
 KEPT_S = 5.0
-"""How much waits to be read before a first segment and after a stop, by the controller's clock: a
-plan may take minutes, and what the arm did meanwhile is of no use. Of a run all is kept [s]."""
+"""Maximum age [s], by the controller's clock, of the rows that are retained for reading before
+the first segment and after a stop.
+
+Planning can take minutes, and the rows received during planning are not needed. During a run,
+all rows of the controller are retained.
+"""
 
 LEFT_OVER_S = 1.0
-"""How much longer than its watchdog the program of a session that has died may take to end [s]."""
+"""Time [s], in addition to the watchdog period, within which the robot program of a dead session
+ends."""
 
 INERTIA_SINCE = (5, 10)
-"""Software that takes and reports the inertia of a load."""
+"""First software version that accepts and reports the inertia of a payload."""
 
 OLDEST = {3: (3, 11), 5: (5, 6)}
-"""Oldest software of a generation that reports the payload it computes with."""
+"""Map from major software version to the oldest version that reports the payload used by the
+controller."""
 
 PORTS = {DASHBOARD_PORT: "dashboard", PRIMARY_PORT: "primary interface", RTDE_PORT: "RTDE"}
 REACH_S = 2.0
 
 
 class Controller:
-    """Facts and rows of a controller; commands nothing.
+    """Identity, limits and rows of one controller; sends no motion command.
 
     Args:
-        model: The arm of the station.
-        options: Of the arm.
+        model: Model of the arm in the station file.
+        options: Options of the arm from the station file.
 
     Attributes:
-        host: Its IP address, once it was resolved: stops do not wait for a name server.
-        receiver: Its rows.
-        facts: What its dashboard says.
-        reported: Its joint limits; None if it has not said them, for the reason `unreported`.
+        host: IP address of the controller, resolved once, so that a stop needs no name server.
+        receiver: Receiver of the controller's rows.
+        facts: Data of the controller that the dashboard server reported.
+        reported: Joint limits reported by the controller; None if the controller has not reported
+            any limits.
+        unreported: Reason why `reported` is None.
     """
 
     def __init__(self, model: str, options: Options) -> None:
@@ -86,11 +94,11 @@ class Controller:
         self.receiver = Receiver(self.host, options.frequency_hz)
         self.facts = DashboardFacts()
         self.reported: ReportedLimits | None = None
-        self.unreported = "they were not asked for"
+        self.unreported = "they were not requested"
 
     @property
     def identity(self) -> Identity:
-        """Which arm it moves, by which software."""
+        """Model and serial number of the arm, and software version of the controller."""
         version, options = self.receiver.version, self._options
         takes = version[:2] >= INERTIA_SINCE
         details = {
@@ -105,24 +113,24 @@ class Controller:
 
     @property
     def limits(self) -> Limits:
-        """The maker's limits, or the controller's own where those are stricter and known."""
+        """Manufacturer's joint limits, narrowed by the limits that the controller has reported."""
         return limits_of(self._model, self._options, self.reported)
 
     @property
     def row(self) -> Any:
-        """The newest raw row.
+        """Newest raw row.
 
         Raises:
-            RobotTimeout: There is none.
+            RobotTimeout: The controller has not sent a row yet.
         """
         newest = self.receiver.newest
         if newest is None:
-            raise RobotTimeout("the controller has not said anything yet", hint="connect again")
+            raise RobotTimeout("the controller has not sent any state yet", hint="connect again")
         return newest[0]
 
     @property
     def believed(self) -> Payload:
-        """The load it believes in."""
+        """Payload that the controller reports."""
         row = self.row
         x, y, z = (float(value) for value in row["payload_cog"])
         inertia: Any = (0.0,) * 6
@@ -131,12 +139,12 @@ class Controller:
         return Payload(float(row["payload"]), (x, y, z), inertia)
 
     def open(self) -> None:
-        """Connect, and make sure that its arm may be moved by us.
+        """Connect and check that the arm can be moved by this driver.
 
         Raises:
-            RobotConnectionError: There is no controller, or it is another arm.
-            RobotFault: The arm is not in a state in which it may be moved, or something moves it.
-            SpecError: It does not send what shall be the effort.
+            RobotConnectionError: No controller answers, or the controller moves a different arm.
+            RobotFault: The state of the arm does not permit a motion, or another client moves it.
+            SpecError: The controller does not send the RTDE output of the configured torque source.
         """
         self._find()
         self.facts = once_listening(self.host, lambda: dashboard_facts(self.host))
@@ -145,26 +153,29 @@ class Controller:
         self.reported, self.unreported = None, ""
         try:
             self.reported = reported_limits(self.host)
-        except HilError as error:  # a finding: it keeps a run from beginning, not from connecting
+        except HilError as error:  # reported as a finding, which blocks only a run
             self.unreported = error.message
         row = self._row_once_idle()
         require_ready(self.host, self._model, self.facts, self.receiver.version, row)
 
     def listen(self) -> None:
-        """Connect to record what another program does with the arm.
+        """Connect to record the motions that another client commands.
 
         Raises:
-            RobotConnectionError: There is no controller, or it is another arm.
-            SpecError: It does not send what shall be the effort.
+            RobotConnectionError: No controller answers, or the controller moves a different arm.
+            SpecError: The controller does not send the RTDE output of the configured torque source.
         """
         self._find()
         once_listening(self.host, self.receiver.open)
-        with contextlib.suppress(RobotConnectionError):  # RTDE alone will do for listening
+        with contextlib.suppress(RobotConnectionError):  # RTDE alone is sufficient for listening
             self.facts = dashboard_facts(self.host)
         self._require_arm()
 
     def forget_rows(self) -> None:
-        """Drop rows from before the program played; from now on all are kept."""
+        """Drop rows from before the start of the program.
+
+        From then on, only the rows of the last `KEPT_S` are retained.
+        """
         until = time.monotonic() + READ_BACK_S
         while time.monotonic() < until:
             if program_state(self.receiver.take(READ_BACK_S))[-1] == PLAYING:
@@ -174,13 +185,14 @@ class Controller:
     def findings(
         self, declared: Payload | None, *, moved_by_us: Callable[[], bool]
     ) -> Iterator[Finding]:
-        """Yield the driver's lines of a preflight.
+        """Yield the preflight findings of the driver.
 
         Args:
-            declared: The load that was declared since the robot was connected.
-            moved_by_us: Says whether the process that armed the watchdog is there.
+            declared: Payload declared since the robot was connected; None if no payload was
+                declared.
+            moved_by_us: Function that returns whether the process that armed the watchdog is alive.
         """
-        # Asking the dashboard may take seconds: the row is the one after it.
+        # Read the row after the dashboard answers, which can take seconds.
         facts = dashboard_facts(self.host)
         row, version = self.row, self.receiver.version
         yield _mode_finding(int(row["robot_mode"]))
@@ -197,13 +209,13 @@ class Controller:
         yield Finding(
             "watchdog",
             moved_by_us() and runtime == PLAYING,
-            f"watchdog armed at {hz:g} Hz in our program, which is {program}",
+            f"watchdog armed at {hz:g} Hz in the robot program of hil, which is {program}",
             hz,
             hint="connect again",
         )
 
     def close(self) -> None:
-        """End the connection. Idempotent."""
+        """Close the connection; repeated calls have no effect."""
         self.receiver.close()
 
     def _find(self) -> None:
@@ -212,13 +224,20 @@ class Controller:
         self.receiver = Receiver(self.host, self._options.frequency_hz)
 
     def _require_arm(self) -> None:
-        """Raise if it is not the station's arm: its samples would be fitted to another model."""
+        """Raise if the connected arm is not the model that the station names.
+
+        Samples of a different arm would be fitted to the wrong model.
+        """
         require_source(self._options.torque_source, self.receiver.missing)
         if wrong := _wrong_arm(self._model, self.facts, self.receiver.version):
             raise _error(RobotConnectionError, self.host, wrong)
 
     def _row_once_idle(self) -> np.void:
-        """The newest row; the program of a session that has died ends by its watchdog."""
+        """Wait until no other program plays or a time limit has passed; return the newest row.
+
+        The program of a dead session ends when its watchdog expires. The time limit of the wait is
+        the watchdog period plus `LEFT_OVER_S`.
+        """
         until = time.monotonic() + 1.0 / self._options.watchdog_hz + LEFT_OVER_S
         row: np.void = self.receiver.take(READ_BACK_S)[-1]
         while occupied(row) and time.monotonic() < until:
@@ -226,36 +245,42 @@ class Controller:
         return row
 
     def _limits_finding(self) -> Finding:
-        """Return whether the limits used are no wider than those of the controller."""
+        """Check whether the used joint limits are within the controller's limits.
+
+        The result of the check is a preflight finding.
+        """
         if self.reported is None:
             message = f"the controller's joint limits are not known: {self.unreported}"
-            hint = "see whether port 30001 is open in the controller's security settings"
+            hint = "check that port 30001 is open in the controller's security settings"
             return Finding("joint-limits", False, message, hint=hint)
-        maker, used = limits_of(self._model, self._options), self.limits
+        published, used = limits_of(self._model, self._options), self.limits
         by = {
-            "rad": float(max((used.q_min - maker.q_min).max(), (maker.q_max - used.q_max).max())),
-            "rad/s": float((maker.qd_max - used.qd_max).max()),
-            "rad/s²": float((maker.qdd_max - used.qdd_max).max()),
+            "rad": float(
+                max((used.q_min - published.q_min).max(), (published.q_max - used.q_max).max())
+            ),
+            "rad/s": float((published.qd_max - used.qd_max).max()),
+            "rad/s²": float((published.qdd_max - used.qdd_max).max()),
         }
         narrower = ", ".join(f"{value:.3f} {unit}" for unit, value in by.items() if value > 0)
-        message = "joint limits used are no wider than the controller's (told on port 30001), which"
+        message = "joint limits used are no wider than the controller's limits on port 30001, which"
         if narrower:
-            message += f" are narrower than the maker's by up to {narrower}"
+            message += f" are narrower than the manufacturer's by up to {narrower}"
         else:
-            message += " are as wide as the maker's"
+            message += " are as wide as the manufacturer's"
         wider = self.reported.exceeded_by(used)
         return Finding("joint-limits", not wider.any(), message, narrower or "0 rad")
 
 
 @dataclass(frozen=True, slots=True)
 class DashboardFacts:
-    """Facts that RTDE lacks; empty where the dashboard did not answer.
+    """Data of the dashboard server that RTDE does not send; empty if the server did not answer.
 
     Attributes:
         polyscope: Version of the controller's software.
-        serial: Of the arm.
-        model: Such as `UR5`.
-        remote: `true`, `false`, or empty on controllers without that distinction.
+        serial: Serial number of the arm.
+        model: Model of the arm, such as `UR5`.
+        remote: `true` in remote control, `false` in local control, empty if the controller does not
+            distinguish them.
     """
 
     polyscope: str = ""
@@ -265,10 +290,10 @@ class DashboardFacts:
 
 
 def dashboard_facts(address: str) -> DashboardFacts:
-    """Ask the dashboard server of a controller.
+    """Request software version, serial number, model and control mode from the dashboard server.
 
     Raises:
-        RobotConnectionError: There is none.
+        RobotConnectionError: No dashboard server answers.
     """
     with Dashboard(address) as dashboard:
         return DashboardFacts(
@@ -282,22 +307,22 @@ def dashboard_facts(address: str) -> DashboardFacts:
 def require_ready(
     address: str, model: str, facts: DashboardFacts, version: tuple[int, ...], row: np.void
 ) -> None:
-    """Raise if this arm cannot be moved, with every reason at once.
+    """Raise an error that lists all reasons why the arm cannot be moved, if there are any.
 
     Args:
-        address: Of the controller.
-        model: The arm of the station.
-        facts: By the dashboard.
-        version: Of the controller, by RTDE.
-        row: The newest raw row.
+        address: Address of the controller.
+        model: Model of the arm in the station file.
+        facts: Data of the controller that the dashboard server reported.
+        version: Software version of the controller, from RTDE.
+        row: Newest raw row of RTDE outputs.
 
     Raises:
-        RobotConnectionError: It is another arm, or its software is too old.
-        RobotFault: It is not in a state in which it may move.
+        RobotConnectionError: The controller moves a different arm, or its software is too old.
+        RobotFault: The state of the arm does not permit a motion.
     """
     if wrong := [*_wrong_arm(model, facts, version), *_too_old(version)]:
         raise _error(RobotConnectionError, address, wrong)
-    # `ur-rtde` would end whatever program there is, or wait for its end for minutes.
+    # `ur-rtde` would end any running program, or wait minutes for its end.
     not_ready = [*complaints(row), *occupied(row), *speed_complaint(row)]
     if "false" in facts.remote:
         not_ready.append(
@@ -313,21 +338,23 @@ def _wrong_arm(
     wrong, remedy = [], "see address and model in the station file"
     if SERIES_HZ[model] != (125 if version[0] <= 3 else 500):
         series = "CB3" if version[0] <= 3 else "e-Series"
-        wrong.append((f"it is a {series} controller, a {model} has another one", remedy))
+        wrong.append((f"this is a {series} controller, but a {model} has a different one", remedy))
     size, reported = re.sub(r"\D", "", model), re.sub(r"\D", "", facts.model)
     if reported and reported != size:
-        wrong.append((f"it moves a {facts.model}, the station says {model}", remedy))
+        wrong.append(
+            (f"the controller moves a {facts.model}, but the station names {model}", remedy)
+        )
     return wrong
 
 
 def _too_old(version: tuple[int, ...]) -> list[tuple[str, str]]:
     oldest = OLDEST.get(version[0])
     if oldest is None:
-        return [(f"software {version[0]}.x is not supported", "CB3 3.x and e-Series 5.x are")]
+        return [(f"software {version[0]}.x is not supported", "use CB3 3.x or e-Series 5.x")]
     if tuple(version[:2]) >= oldest:
         return []
-    what = f"its software {'.'.join(map(str, version[:3]))} does not tell the payload"
-    return [(what, f"update it to {oldest[0]}.{oldest[1]} or later")]
+    what = f"software {'.'.join(map(str, version[:3]))} does not report the payload"
+    return [(what, f"update the software to {oldest[0]}.{oldest[1]} or later")]
 
 
 def _error(kind: Any, address: str, reasons: list[tuple[str, str]]) -> Any:
@@ -349,8 +376,8 @@ def _safety_finding(mode: int) -> Finding:
 
 def _control_finding(facts: DashboardFacts) -> Finding:
     if not facts.remote:
-        message = "this controller makes no difference between local and remote control"
-        return Finding("remote-control", True, message, "not told")
+        message = "this controller does not distinguish local and remote control"
+        return Finding("remote-control", True, message, "not reported")
     remote = "true" in facts.remote
     message = f"the arm is in {'remote' if remote else 'local'} control"
     hint = "switch it to remote control at the teach pendant"
@@ -363,7 +390,7 @@ def _software_finding(version: tuple[int, ...]) -> Finding:
     return Finding(
         "software",
         version[0] in OLDEST and tuple(version[:2]) >= oldest,
-        f"software {installed}; {needed} or later of this generation tells what is needed",
+        f"software {installed}; all required data is reported from {needed} on",
         installed,
         needed,
         "update the controller's software",
@@ -378,17 +405,17 @@ def _slider_finding(row: np.void) -> Finding:
 
 
 def reached(address: str, within_s: float = REACH_S) -> Iterator[Finding]:
-    """Look from afar whether there is an arm that could be moved; no program is uploaded.
+    """Yield findings about the network ports of a controller, without uploading a program.
 
     Args:
-        address: Of the controller.
-        within_s: How long a connection, and each answer, may take [s].
+        address: Address of the controller.
+        within_s: Timeout for each connection and each answer [s].
     """
     silent = {port: why for port in PORTS if (why := _why_silent(address, port, within_s))}
     if silent:
         reasons = ", ".join(f"{port} ({PORTS[port]}): {why}" for port, why in silent.items())
         hint = mock_first(address, "ur")
-        hint += "is the controller on, the address right, and are its services enabled?"
+        hint += "check that the controller is on, its address right and its services enabled"
         yield Finding("ports", False, f"{address} does not answer on {reasons}", hint=hint)
     else:
         open_ = ", ".join(f"{port} ({name})" for port, name in PORTS.items())
@@ -405,10 +432,10 @@ def reached(address: str, within_s: float = REACH_S) -> Iterator[Finding]:
         yield Finding("dashboard", False, error.message, hint=error.hint)
         return
     hint = "switch it on and release its brakes at the teach pendant"
-    yield Finding("mode", mode == "RUNNING", f"robot mode {mode or 'not told'}", hint=hint)
-    hint = "see the teach pendant for what has stopped it"
+    yield Finding("mode", mode == "RUNNING", f"robot mode {mode or 'not reported'}", hint=hint)
+    hint = "see the teach pendant for the cause of the stop"
     normal = safety in ("NORMAL", "REDUCED")
-    yield Finding("safety", normal, f"safety mode {safety or 'not told'}", hint=hint)
+    yield Finding("safety", normal, f"safety mode {safety or 'not reported'}", hint=hint)
     if remote:
         control = "remote" if "true" in remote else "local"
         hint = "switch it to remote control at the teach pendant"
@@ -416,7 +443,7 @@ def reached(address: str, within_s: float = REACH_S) -> Iterator[Finding]:
 
 
 def _why_silent(address: str, port: int, within_s: float) -> str:
-    """Return why a port does not answer; empty if it does."""
+    """Return the reason why a port does not answer; empty if the port answers."""
     try:
         peer_of(address, port, within_s)
     except OSError as error:

@@ -1,8 +1,8 @@
-"""The text interfaces of a UR controller: its dashboard server, and the port that takes programs.
+"""Text interfaces of a UR controller: the dashboard server and the port that accepts programs.
 
-A dashboard line asked is a line answered (port 29999). `stop_directly` stops an arm without the
-library that moves it: a program that stops, sent to port 30003, replaces whatever program runs.
-It works from any thread and takes no lock.
+The dashboard server (port 29999) answers every request line with one line. `stop_directly` stops an
+arm without the library that moves it: it sends a stop program to port 30003, which replaces the
+running program. `stop_directly` can be called from any thread and uses no lock.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ NOT_UNDERSTOOD = "could not understand"
 
 
 class Dashboard:
-    """One conversation, while it is entered.
+    """Connection to the dashboard server, used as a context manager.
 
     Args:
-        address: Of the controller.
-        within_s: How long connecting, and every answer, may take [s].
+        address: Address of the controller.
+        within_s: Timeout for the connection and for every answer [s].
 
     Raises:
-        RobotConnectionError: No dashboard answers.
+        RobotConnectionError: No dashboard server answers.
     """
 
     def __init__(self, address: str, within_s: float = ANSWER_S) -> None:
@@ -46,15 +46,15 @@ class Dashboard:
             raise
 
     def ask(self, command: str) -> str:
-        """Return the answer without the line's end; empty if the command is unknown.
+        """Send a command; return the answer without the line end, empty for an unknown command.
 
         Raises:
-            RobotConnectionError: It has hung up, or has not answered in time.
+            RobotConnectionError: The server closed the connection, or did not answer in time.
         """
         try:
             self._line.sendall(f"{command}\n".encode())
         except OSError as error:
-            raise self._problem(f"has hung up: {error}") from error
+            raise self._problem(f"closed the connection: {error}") from error
         answer = self._receive()
         return "" if answer.lower().startswith(NOT_UNDERSTOOD) else answer
 
@@ -78,7 +78,9 @@ class Dashboard:
             except OSError as error:
                 raise self._problem(f"does not answer: {error}") from error
             if not more or len(self._waiting) > LONGEST_LINE:
-                raise self._problem("has hung up" if not more else "does not end its line")
+                raise self._problem(
+                    "closed the connection" if not more else "sent a line without an end"
+                )
             self._waiting += more
         line, _, self._waiting = self._waiting.partition(b"\n")
         return line.decode("utf-8", "replace").strip()
@@ -87,43 +89,43 @@ class Dashboard:
         return RobotConnectionError(
             f"the dashboard server at {self._peer} {what}",
             hint=mock_first(self._address, "ur")
-            + "is the controller on, the address right, and the dashboard server not disabled "
-            "in its security settings?",
+            + "check that the controller is on, its address right and the dashboard server enabled "
+            "in the security settings",
         )
 
 
 SCRIPT_PORT = 30003
 
 STOP_S = 0.05
-"""For both ports together; a host that does not answer is not waited for any longer [s]."""
+"""Time limit [s] of a direct stop, for the script port and the dashboard port together."""
 
 END_S = 1.0
-"""How long the dashboard may take for an answer, where one is waited for [s]."""
+"""Timeout [s] of each answer of the dashboard server while a program is ended."""
 
 FLUSH_S = 0.01
-"""How long the controller is given to take a program before the line is closed [s]."""
+"""Time [s] for the controller to read a program before the driver closes the connection."""
 
 
 def stop_directly(address: str, deceleration: float) -> bool:
-    """Stop the arm by a script of its own; for any thread, without a lock.
+    """Stop the arm by a separate script, from any thread and without a lock.
 
     Args:
-        address: Of the controller.
-        deceleration: Of the leading joint [rad/s²].
+        address: Address of the controller.
+        deceleration: Deceleration of the leading joint [rad/s²].
 
     Returns:
-        Whether at least one of the two ways could be sent.
+        Whether the stop script or the dashboard command could be sent.
     """
     until = time.monotonic() + STOP_S
     program = f"def hil_stop():\n  stopj({deceleration:.3f})\nend\n".encode()
-    sent = _tell(address, SCRIPT_PORT, program, until)
-    # What the dashboard does would cut the ramp short that was just asked for: only where it could
-    # not be asked for. In local control both take connections and ignore what they are sent; an
-    # arm that does not come to rest tells, and whoever watches it then calls `stop_program`.
+    sent = _send(address, SCRIPT_PORT, program, until)
+    # A dashboard stop would interrupt the ramp of the script, so it is sent only if the script
+    # could not be sent. In local control both ports accept connections and ignore the data; the
+    # supervision then detects that the arm does not come to rest and calls `stop_program`.
     return sent or stop_program(address, until)
 
 
-def _tell(address: str, port: int, text: bytes, until: float) -> bool:
+def _send(address: str, port: int, text: bytes, until: float) -> bool:
     left = until - time.monotonic()
     with (
         contextlib.suppress(OSError),
@@ -131,13 +133,17 @@ def _tell(address: str, port: int, text: bytes, until: float) -> bool:
     ):
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         line.sendall(text)
-        _listen_briefly(line, until)
+        _read_briefly(line, until)
         return True
     return False
 
 
-def _listen_briefly(line: socket.socket, until: float) -> None:
-    """Read for a moment: closing with unread bytes resets a line, and may discard sent data."""
+def _read_briefly(line: socket.socket, until: float) -> None:
+    """Read and discard received bytes until the time `until`, for at most `FLUSH_S`.
+
+    Closing a connection with unread bytes resets the connection, and the reset can discard data
+    that were already sent.
+    """
     until = min(until, time.monotonic() + FLUSH_S)
     with contextlib.suppress(OSError):
         while (left := until - time.monotonic()) > 0:
@@ -147,17 +153,17 @@ def _listen_briefly(line: socket.socket, until: float) -> None:
 
 
 def stop_program(address: str, until: float | None = None) -> bool:
-    """Stop any program by the dashboard; the controller brakes the arm."""
+    """Stop a program by a dashboard command; the controller then brakes the arm."""
     until = time.monotonic() + STOP_S if until is None else until
-    return _tell(address, DASHBOARD_PORT, b"stop\n", until)
+    return _send(address, DASHBOARD_PORT, b"stop\n", until)
 
 
 def end_program(address: str) -> None:
-    """End any program, also a paused one, and wait for the confirmation.
+    """End a playing or paused program, and wait until the dashboard server confirms the end.
 
     Raises:
-        RobotFault: The controller does not do that.
-        RobotConnectionError: It does not answer.
+        RobotFault: The controller does not end the program.
+        RobotConnectionError: The dashboard server does not answer.
     """
     with Dashboard(address, END_S) as dashboard:
         answer = dashboard.ask("stop")
@@ -167,5 +173,5 @@ def end_program(address: str) -> None:
     if not state.upper().startswith("STOPPED"):
         raise RobotFault(
             f"{address}: the robot program cannot be ended, it is {state}: {answer}",
-            hint="stop it at the teach pendant before a stop is unlocked: it would go on",
+            hint="stop the program at the teach pendant before unlocking a stop: it would resume",
         )

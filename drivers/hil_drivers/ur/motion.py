@@ -1,9 +1,11 @@
-"""The process that moves a UR arm by `ur-rtde`: `MotionProcess` from outside, `UrMotion` inside.
+"""Separate process that moves a UR arm by `ur-rtde`.
 
-`hil.robot` hosts `UrMotion` as it hosts a driver in a process of its own: its members are called
-one after the other, but for `stop`. When the process on the other side dies, it is told so, stops
-the arm, waits until it is at rest, and closes. From outside every request has a time limit, and the
-process can be killed without harm to recordings, which do not pass through it.
+`MotionProcess` is the client side of the process, and `UrMotion` runs inside the process.
+`hil.robot` runs `UrMotion` like a driver in a separate process. The members of `UrMotion` are
+called one after the other, except `stop`, which can be called at any time. If the client process
+dies, `UrMotion` is notified, stops the arm, waits until the arm is at rest, and closes. Every
+request of the client to the motion process has a time limit. The motion process can be killed
+without an effect on recordings, because the recorded rows do not pass through the motion process.
 """
 
 from __future__ import annotations
@@ -48,19 +50,24 @@ from hil_drivers.ur.state import PLAYING, STOPPED
 CHILD = "hil_drivers.ur.motion:UrMotion"
 
 OPEN_S, CONNECT_S, COMMAND_S, LOOK_S, CLOSE_S = 30.0, 20.0, 8.0, 2.0, 6.0
-"""How long the process may take to come up, to upload the program, to take over a motion or a
-load, to say how it stands, to let the arm go [s]."""
+"""Time limits of the motion process [s]: to start, to upload the program, to accept a motion or
+a payload, to report its state, and to release the arm.
+"""
 
 STOP_S = 0.06
-"""How long it may take to say that the stop is on its way; there is another way after that [s]."""
+"""Time limit for the acknowledgement of a stop [s]; if the limit is exceeded, the driver stops
+the arm directly."""
 
 
 class MotionProcess:
-    """Where `ur-rtde` lives. Calls are for one thread at a time, `stop` for any number.
+    """Client of the process that runs `ur-rtde`.
+
+    Only one thread at a time can call its methods; any thread can call `stop`.
 
     Args:
-        name, model: Of the arm.
-        options: As the station has them, and in tests what to put in place of `ur-rtde`.
+        name, model: Name and model of the arm.
+        options: Mapping of options from the station file; tests also pass a replacement for
+            `ur-rtde`.
     """
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
@@ -77,26 +84,30 @@ class MotionProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether calls make sense."""
+        """Whether the motion process runs and answers requests."""
         return self._process is not None and self._process.answers
 
     @property
     def pid(self) -> int:
-        """Of the process; 0 when there is none."""
+        """Identifier of the motion process; 0 if there is no process."""
         return self._process.pid if self._process is not None else 0
 
     @property
     def left(self) -> bool:
-        """Whether it has stopped the arm and ended by itself: a row may come that explains it."""
+        """Whether the motion process has stopped the arm and exited by itself.
+
+        A row that arrives after the exit possibly shows why the motion process exited.
+        """
         process = self._process
         return process is not None and process.exit_code in (LOST_EXIT, STALE_EXIT)
 
     def connect(self) -> None:
-        """Start the process, let it upload the program and arm the watchdog.
+        """Start the motion process, which uploads the robot program and arms the watchdog.
 
         Raises:
-            RobotConnectionError: It cannot reach the controller, hangs, or has died.
-            CommandRefused, PluginError: What `UrMotion` raised.
+            RobotConnectionError: The motion process cannot reach the controller, hangs, or has
+                died.
+            CommandRefused, PluginError: `UrMotion` raised an error of this class.
         """
         self.close()
         self._process = DriverProcess(f"{self._name}-motion")
@@ -109,23 +120,27 @@ class MotionProcess:
             raise
 
     def set_payload(self, payload: Payload) -> None:
-        """Declare a load."""
+        """Declare a payload."""
         self._alive().ask("set_payload", COMMAND_S, asdict(payload))
 
     def prepare(self, segment: Segment) -> None:
-        """Hand over the next segment."""
+        """Send the next segment to the motion process."""
         self._alive().ask("prepare", COMMAND_S, *segment_document(segment))
 
     def start(self) -> float:
-        """Begin it; returns the device time after which samples belong to it [s]."""
+        """Start the prepared segment.
+
+        Returns:
+            Device time after which samples belong to the segment [s].
+        """
         self._alive().ask("start", COMMAND_S)
         return float(self.look()[0]["begun"])
 
     def look(self) -> StructArray:
-        """One row of `hil_drivers.ur.motion.PROGRESS`.
+        """Return the state of the motion as one row of type `hil_drivers.ur.motion.PROGRESS`.
 
         Raises:
-            HilError: The error that ended the newest motion, once.
+            HilError: An error ended the newest motion; each error is raised by one call only.
         """
         process = self._alive()
         try:
@@ -140,10 +155,10 @@ class MotionProcess:
         return arrays[0]
 
     def stop(self) -> None:
-        """Stop the arm; takes no lock.
+        """Stop the arm; the call needs no lock.
 
         Raises:
-            HilError: It is not sure that the process has done that in time.
+            HilError: The motion process did not confirm the stop in time.
         """
         process = self._process
         if process is None:
@@ -151,7 +166,10 @@ class MotionProcess:
         process.stop(STOP_S)
 
     def close(self) -> None:
-        """Let the process end the program and exit; takes seconds at most."""
+        """Let the motion process end the robot program and exit.
+
+        The call of this method takes some seconds at most.
+        """
         process, self._process = self._process, None
         if process is None:
             return
@@ -159,7 +177,7 @@ class MotionProcess:
             if process.answers:
                 process.ask("close", CLOSE_S)
         except HilError:
-            return  # what follows ends it in any case, and its end stops the arm
+            return  # `end` below ends the process in any case, which stops the arm
         finally:
             process.end()
 
@@ -170,7 +188,7 @@ class MotionProcess:
 
     def _gone(self) -> RobotConnectionError:
         return RobotConnectionError(
-            f"{self._name}: nobody moves the arm any more", hint="connect again"
+            f"{self._name}: the process that moves the arm has ended", hint="connect again"
         )
 
 
@@ -180,17 +198,19 @@ REST_S = 3.0
 PROGRESS = np.dtype(
     [("device_time", "<f8"), ("begun", "<f8"), ("qd", "<f8", (6,)), ("status", "<i4")]
 )
-"""One row per `read`: the controller's time now, when the newest motion began, how it stands."""
+"""Row type of `UrMotion.read`: present device time, device time at which the newest motion
+began, target joint speeds, and status.
+"""
 
 
 class UrMotion:
-    """As much of a robot as this process needs.
+    """Robot driver inside the motion process, reduced to the members that this process needs.
 
     Args:
-        name, model: Of the arm.
-        library: Module that offers `RTDEControlInterface`; another one in tests.
-        receiver: `module:Class` that offers the controller's rows.
-        options: As the station has them.
+        name, model: Name and model of the arm.
+        library: Name of the module with `RTDEControlInterface`; replaced in tests.
+        receiver: Class of the receiver of the controller's rows, as `module:Class`.
+        options: Options from the station file.
     """
 
     def __init__(
@@ -213,27 +233,27 @@ class UrMotion:
 
     @property
     def identity(self) -> Identity:
-        """The controller's software, as its RTDE server reports it."""
+        """Model of the arm and software version of the controller, as reported by RTDE."""
         version = ".".join(map(str, self._receiver.version))
         return Identity(self._model, "", version, "ur")
 
     @property
     def capabilities(self) -> Capabilities:
-        """See `hil.robot.Robot`."""
+        """Names, rate and effort kind of the arm; see `hil.robot.Robot`."""
         return capabilities_of(self._model, self._options)
 
     @property
     def limits(self) -> Limits:
-        """See `hil.robot.Robot`."""
+        """Joint limits of the arm; see `hil.robot.Robot`."""
         return limits_of(self._model, self._options)
 
     def connect(self) -> None:
-        """Upload the robot program, and arm its watchdog.
+        """Upload the robot program and arm its watchdog.
 
         Raises:
-            RobotConnectionError: There is no controller, or another client owns the inputs.
+            RobotConnectionError: No controller answers, or another client owns the RTDE inputs.
             CommandRefused: The watchdog could not be armed.
-            RobotFault: The program does not play.
+            RobotFault: The uploaded robot program does not play.
         """
         if self._thread is not None:
             return
@@ -259,17 +279,20 @@ class UrMotion:
         thread.start()
 
     def set_payload(self, payload: Payload) -> Payload:
-        """Declare a load; the caller reads it back."""
+        """Declare a payload; the caller must check which payload the controller then reports."""
         self._moving().use(lambda control: control.set_payload(payload))
         return payload
 
     def prepare(self, segment: Segment) -> None:
-        """Keep the next segment, and be done with stops that came before."""
+        """Store the next segment and clear earlier stop requests."""
         self._moving().state.clear()
         self._prepared = segment
 
     def start(self) -> None:
-        """Begin the prepared segment: `move` by the controller's own plan, else led along."""
+        """Start the prepared segment: the controller plans a `move`; other kinds use `servoj`.
+
+        If the option `moves` is `servoj`, a `move` segment is executed by `servoj` too.
+        """
         segment, self._prepared = self._prepared, None
         if segment is None:
             raise nothing_prepared()
@@ -280,10 +303,10 @@ class UrMotion:
             thread.start_led(segment)
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
-        """One row of `PROGRESS`.
+        """Return one row of `PROGRESS`.
 
         Raises:
-            HilError: The error that ended the newest motion, once.
+            HilError: An error ended the newest motion; each error is raised by one call only.
         """
         state = self._moving().state
         phase, row = state.phase, state.newest
@@ -296,18 +319,22 @@ class UrMotion:
         return progress
 
     def stop(self) -> None:
-        """See `hil.robot.Robot`; raises `RobotTimeout` if it has to be done another way."""
+        """Stop the arm; see `hil.robot.Robot`.
+
+        Raises:
+            RobotTimeout: The arm did not obey in time and must be stopped by a different method.
+        """
         if self._thread is not None:
             self._thread.stop()
 
     def client_gone(self) -> None:
-        """The process that drove the arm has died: only this one can stop it."""
+        """Record that the client process has died, so that only this process can stop the arm."""
         self._alone = True
         if self._thread is not None:
             self._thread.alone = True
 
     def close(self) -> None:
-        """Bring the arm to rest, end the program, release the inputs."""
+        """Stop the arm, end the program and release the RTDE inputs."""
         thread, self._thread = self._thread, None
         if thread is None:
             return
@@ -322,7 +349,10 @@ class UrMotion:
                 self._receiver.close()
 
     def _end_program(self, control: Control, receiver: Any) -> None:
-        """Also one that a protective stop has paused: it would go on once that is unlocked."""
+        """End the program, even if a protective stop has paused it.
+
+        A paused program would resume as soon as the protective stop is unlocked.
+        """
         try:
             control.end()
         finally:
@@ -349,29 +379,30 @@ LAST_ROW_S = 0.2
 
 
 def _wait_until_playing(receiver: Any) -> None:
-    """Drop rows from before the program was uploaded.
+    """Drop rows until the uploaded program plays.
 
-    `ur-rtde` holds the interpreter meanwhile, and comes back when its own connection says that the
-    program plays: what came over ours may still wait to be heard.
+    `ur-rtde` blocks the interpreter during the upload and returns when its own connection reports
+    that the program plays. After the upload, rows from before the start of the program are possibly
+    still queued in the receiver.
 
     Args:
-        receiver: Of the controller's rows.
+        receiver: Receiver of the controller's rows.
 
     Raises:
-        RobotTimeout: No row came.
-        RobotFault: The program does not play.
+        RobotTimeout: No row of the controller arrived.
+        RobotFault: The uploaded robot program does not play.
     """
     until = time.monotonic() + PLAYS_WITHIN_S
     while int(receiver.take(1.0)[-1]["runtime_state"]) != PLAYING:
         if time.monotonic() > until:
             raise RobotFault(
-                "the robot program does not play after it was uploaded",
+                "the robot program does not run after its upload",
                 hint="look for a message at the teach pendant, then connect again",
             )
 
 
 def _runtime_state(receiver: Any) -> int:
-    """Return RTDE's `runtime_state` by now; that of a program that plays if none comes."""
+    """Return the present `runtime_state` of RTDE; `PLAYING` if no row arrives."""
     with contextlib.suppress(HilError):
         with contextlib.suppress(RobotTimeout):
             receiver.take(0.0)

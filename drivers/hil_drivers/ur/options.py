@@ -1,4 +1,4 @@
-"""What a station file may say about a UR arm, and the facts and limits that follow from it."""
+"""Options of a UR arm in a station file, and the capabilities and limits that follow from them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hil_drivers.network import host_of
 from hil_drivers.option_checks import OptionChecks
 
 SERIES_HZ = {"ur3": 125, "ur5": 125, "ur10": 125, "ur3e": 500, "ur5e": 500, "ur10e": 500}
-"""Ticks per second of the controller that moves an arm: CB3 125, e-Series 500 [Hz]."""
+"""Tick rate of the controller of each arm [Hz]: 125 for CB3, 500 for e-Series."""
 
 RANGES = {
     "lookahead_s": (0.03, 0.2),
@@ -28,10 +28,12 @@ RANGES = {
     "late_s": (0.02, 5.0),
     "speed_share": (0.01, 1.0),
 }
-"""Least and most of the options that are numbers; UR's own where the controller has them."""
+"""Minimum and maximum of each numeric option; for options of the controller, the range that UR
+specifies."""
 
 RAMP_SLACK_S = 0.1
-"""Device time that commanding a stop and hearing of its end takes beside the ramp, at most [s]."""
+"""Maximum device time [s], in addition to the duration of the ramp, for commanding a stop and
+detecting its end."""
 
 CHOICES = {
     "moves": ("movej", "servoj"),
@@ -39,27 +41,32 @@ CHOICES = {
 }
 
 MOST_SPEED, MOST_ACCELERATION = 3.14, 40.0
-"""What `ur-rtde` lets through to the controller [rad/s, rad/s²]."""
+"""Maximum joint speed and acceleration that `ur-rtde` accepts [rad/s, rad/s²]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The options of one arm.
+    """Options of one UR arm.
 
     Attributes:
-        address: IP address or host name of the controller; its ports cannot be chosen.
-        frequency_hz: Samples and set-points per second; the controller's own when None.
-        moves: `movej`: the controller plans moves from rest to rest; `servoj`: it is led along.
-        lookahead_s, gain: Of `servoj`: how it smooths [s], and how hard it follows.
-        watchdog_hz: The controller stops its program when it is commanded less often than this.
-        stop_rad_s2: Deceleration of `stop` out of a move, by the fastest joint.
-        stop_m_s2: Deceleration of `stop` while the arm is led along, by the tool; harder where
-            the watchdog's period would not do.
-        lag_s, lag_rad: How late, and how far beside the commanded path, the arm may follow.
-        late_s: Silence of the controller, or lateness of our set-points, that ends a motion.
-        torque_source: What `effort` is: motor current [A], the current as torque [N·m], or the
-            torque of the controller's own model [N·m], which is no measurement.
-        speed_share: Share of the arm's joint speeds that may be used.
+        address: IP address or host name of the controller; the port numbers are fixed.
+        frequency_hz: Number of samples and set-points per second; None for the controller's tick
+            rate.
+        moves: Execution of moves from rest to rest: planned by the controller (`movej`), or by
+            set-points of the driver (`servoj`).
+        lookahead_s, gain: `servoj` parameters: smoothing time [s] and position gain.
+        watchdog_hz: Command rate below which the controller stops its program [Hz].
+        stop_rad_s2: Deceleration of `stop` during a controller-planned move, for the fastest joint
+            [rad/s²].
+        stop_m_s2: Deceleration of `stop` during a `servoj` motion, for the tool [m/s²]; increased
+            if the stop would exceed the watchdog period.
+        lag_s, lag_rad: Maximum delay [s] and deviation [rad] of the arm from the commanded path.
+        late_s: Duration of silence of the controller, or delay of the driver's set-points, above
+            which a motion is ended [s].
+        torque_source: Quantity recorded in the field `effort`: motor current [A] (`current`),
+            current converted to torque [N·m] (`current-as-torque`), or the torque of the
+            controller's model [N·m] (`target-moment`), which is not a measurement.
+        speed_share: Share of the arm's joint speed limits that a plan may use.
     """
 
     address: str
@@ -78,7 +85,7 @@ class Options:
 
     @property
     def resource(self) -> str:
-        """Which arm this is, whatever a station calls it."""
+        """Resource name of the arm, which is independent of the name of the robot in a station."""
         return f"ur://{self.address}"
 
 
@@ -86,13 +93,15 @@ _CHECKS = OptionChecks("ur")
 
 
 def options_of(given: Mapping[str, Any], model: str) -> Options:
-    """The options of a station's mapping, for a built-in arm.
+    """Return the options of a built-in arm from the mapping of a station file.
 
     Raises:
-        SpecError: One is missing, unknown, or cannot be.
+        SpecError: The model is not a UR arm, or an option is missing, unknown or invalid.
     """
     if model not in SERIES_HZ:
-        raise SpecError(f"the driver ur moves no {model}", hint=f"it moves {', '.join(SERIES_HZ)}")
+        raise SpecError(
+            f"the driver ur cannot move a {model}", hint=f"use one of {', '.join(SERIES_HZ)}"
+        )
     _CHECKS.require_known(given, [field.name for field in fields(Options)])
     address = _address(given.get("address"))
     for name, between in RANGES.items():
@@ -103,7 +112,7 @@ def options_of(given: Mapping[str, Any], model: str) -> Options:
             _CHECKS.choice(name, given[name], choices)
     if given.get("torque_source") == "current-as-torque" and SERIES_HZ[model] == 125:
         raise _CHECKS.wrong_option(
-            "torque_source", "current-as-torque", "a CB3 controller tells `current`"
+            "torque_source", "current-as-torque", "use current: a CB3 controller reports no torque"
         )
     _require_frequency(given.get("frequency_hz"), model)
     options = Options(**{**given, "address": address})
@@ -122,7 +131,7 @@ def _address(value: Any) -> str:
 
 
 def _require_frequency(value: Any, model: str) -> None:
-    """An integer number of the controller's ticks has to lie between two samples."""
+    """Raise unless the time between two samples is a whole number of controller ticks."""
     if value is None:
         return
     base = SERIES_HZ[model]
@@ -130,11 +139,13 @@ def _require_frequency(value: Any, model: str) -> None:
     fits = number and 10.0 <= value <= base and math.isclose(base / value, round(base / value))
     if not fits:
         rates = ", ".join(f"{base / k:g}" for k in (1, 2, 4, 5) if base % k == 0)
-        raise _CHECKS.wrong_option("frequency_hz", value, f"use a whole part of {base} Hz: {rates}")
+        raise _CHECKS.wrong_option(
+            "frequency_hz", value, f"use {base} Hz divided by a whole number: {rates}"
+        )
 
 
 def _require_ramp(options: Options, model: str) -> None:
-    """A stop at full speed has to be over before the watchdog takes it for our end."""
+    """Raise if a stop from full speed takes longer than the watchdog period."""
     fastest = min(max(load_arm(model).qd_max) * options.speed_share, MOST_SPEED)
     left_s = 1.0 / options.watchdog_hz - RAMP_SLACK_S
     if left_s <= 0.0 or fastest / options.stop_rad_s2 > left_s:
@@ -142,39 +153,43 @@ def _require_ramp(options: Options, model: str) -> None:
         raise _CHECKS.wrong_option(
             "watchdog_hz",
             options.watchdog_hz,
-            f"a stop out of {fastest:.2f} rad/s with {options.stop_rad_s2:g} rad/s² takes "
-            f"{ramp_s:.2f} s, in which nobody can feed the watchdog: at most {1 / ramp_s:.2f} Hz, "
-            "or a larger stop_rad_s2, or a smaller speed_share",
+            f"a stop from {fastest:.2f} rad/s with {options.stop_rad_s2:g} rad/s² takes "
+            f"{ramp_s:.2f} s, in which the watchdog is not fed: use at most {1 / ramp_s:.2f} Hz, "
+            "a larger stop_rad_s2 or a smaller speed_share",
         )
 
 
 def capabilities_of(model: str, options: Options) -> Capabilities:
-    """Return names, rate and the meaning of `effort`."""
+    """Return names, rate and effort kind of an arm."""
     effort: EffortKind = "current" if options.torque_source == "current" else "torque"
     return arm.capabilities_of(model, options.frequency_hz, effort)
 
 
 def limits_of(model: str, options: Options, reported: arm.ReportedLimits | None = None) -> Limits:
-    """Return the maker's limits, narrowed by the controller's own once they are known."""
+    """Return the manufacturer's joint limits, narrowed by the controller's limits if known."""
     return arm.limits_of(model, reported, options.speed_share)
 
 
 def require_playable(segment: Segment, limits: Limits, standing: FloatArray) -> None:
-    """Raise if the arm cannot execute a segment, or `ur-rtde` would refuse it.
+    """Raise if the arm cannot execute a segment, or if `ur-rtde` would refuse the segment.
 
     Args:
-        segment: The next one.
-        limits: Of the arm.
-        standing: (6,) the set-point it holds [rad].
+        segment: Next segment.
+        limits: Joint limits of the arm.
+        standing: Present set-point of the arm, (6,) [rad].
 
     Raises:
-        CommandRefused: See `hil_drivers.arm.require_executable`.
+        CommandRefused: The segment is not executable (`hil_drivers.arm.require_executable`), or its
+            speed or acceleration exceeds the limits of `ur-rtde`.
     """
     arm.require_executable(segment, limits, standing)
     where = f"segment {segment.index} ({segment.kind})"
     if not 0 <= segment.speed <= MOST_SPEED * arm.SPEED_SLACK:
-        raise arm.refused(f"{where} asks for {segment.speed:.3f} rad/s, at most {MOST_SPEED} go")
+        raise arm.refused(
+            f"{where} needs {segment.speed:.3f} rad/s, at most {MOST_SPEED} are possible"
+        )
     if not 0 <= segment.acceleration <= MOST_ACCELERATION:
         raise arm.refused(
-            f"{where} asks for {segment.acceleration:.1f} rad/s², at most {MOST_ACCELERATION} go"
+            f"{where} needs {segment.acceleration:.1f} rad/s², "
+            f"at most {MOST_ACCELERATION} are possible"
         )

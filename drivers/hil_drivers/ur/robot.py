@@ -1,13 +1,14 @@
-"""A UR arm as `hil` drives it: rows by a reader of our own, motion by `ur-rtde` in its own process.
+"""Driver of a UR arm: an RTDE client receives rows, a separate process moves the arm by `ur-rtde`.
 
-The constructor of `ur-rtde` can hold the interpreter for ever, and the library connects again by
-itself; so it lives in a process that may be killed (`motion`). This process reads every row of the
-controller (`controller`, `rtde`), so recordings have no gaps whatever the other one does.
+The constructor of `ur-rtde` can block the interpreter forever, and the library reconnects by
+itself. `ur-rtde` therefore runs in a separate process that can be killed (module `motion`). The
+process of the driver receives every row of the controller (modules `controller` and `rtde`), so
+recordings have no gaps even if the motion process fails.
 
-`UrRobot` puts the two together. `Watch` knows how the arm stands: from what it was told to do, the
-controller's rows, and what the process that moves it says. It decides when a motion is over, what
-is a fault, and whether a stop had its effect. `Standing` notes when each segment began and ended,
-by device time, and stamps rows with that.
+`UrRobot` combines both. `Watch` tracks the state of the arm from the commands, the controller's
+rows and the reports of the motion process. `Watch` decides when a motion is over, which conditions
+are faults, and whether a stop was effective. `Standing` records the device times at which each
+segment begins and ends, and writes segment and status into rows.
 """
 
 from __future__ import annotations
@@ -62,15 +63,15 @@ from hil_drivers.ur.state import (
 
 
 class UrRobot:
-    """A robot (`hil.robot.Robot`) for arms of Universal Robots.
+    """Robot driver (`hil.robot.Robot`) for arms of Universal Robots.
 
     Args:
-        name: The robot's name in its station.
-        model: A built-in arm: ur3, ur5, ur10, or these with an e.
-        options: See `hil_drivers.ur.options.Options`.
+        name: Name of the robot in its station.
+        model: Built-in arm: ur3, ur5, ur10, ur3e, ur5e or ur10e.
+        options: Options of the arm; see `hil_drivers.ur.options.Options`.
 
     Raises:
-        SpecError: An option is missing, unknown, or cannot be.
+        SpecError: An option is missing, unknown or invalid.
     """
 
     def __init__(self, name: str, model: str, **options: Any) -> None:
@@ -90,63 +91,67 @@ class UrRobot:
 
     @property
     def resource(self) -> str:
-        """See `hil.robot.HasResource`."""
+        """Resource name of the arm; see `hil.robot.HasResource`."""
         return self._options.resource
 
     @property
     def address(self) -> Address:
-        """See `hil.robot.HasAddress`."""
+        """Address of the controller; see `hil.robot.HasAddress`."""
         return Address(self._options.address, real=not is_loopback(self._options.address))
 
     @property
     def identity(self) -> Identity:
-        """See `hil.robot.Robot`."""
+        """Model, serial number and software of the connected arm; see `hil.robot.Robot`."""
         self._require_connection()
         return self._controller.identity
 
     @property
     def capabilities(self) -> Capabilities:
-        """See `hil.robot.Robot`."""
+        """Names, rate and effort kind of the arm; see `hil.robot.Robot`."""
         return capabilities_of(self._model, self._options)
 
     @property
     def limits(self) -> Limits:
-        """See `hil.robot.Robot`; once connected, none is wider than the controller's own."""
+        """Joint limits of the arm; after `connect`, no wider than the limits of the controller."""
         return self._controller.limits
 
     @property
     def topics(self) -> Sequence[Topic]:
-        """See `hil.robot.HasTopics`."""
+        """Topic of the RTDE outputs beyond the base record; see `hil.robot.HasTopics`."""
         return (self._topic,)
 
     @property
     def speed_scaling(self) -> float:
-        """See `hil.robot.HasSpeedScaling`: the speed slider of the teach pendant."""
+        """Position of the speed slider of the teach pendant; see `hil.robot.HasSpeedScaling`."""
         return self._slider
 
     def drain(self) -> Mapping[str, StructArray]:
-        """See `hil.robot.HasTopics`."""
+        """Return the rows of the topic of `topics` since the last call.
+
+        The method belongs to the ability `hil.robot.HasTopics`.
+        """
         further, self._further = self._further, []
         return {TOPIC: np.concatenate(further)} if further else {}
 
     def checks(self) -> Sequence[Finding]:
-        """See `hil.robot.HasChecks`."""
+        """Return the preflight findings of the driver; see `hil.robot.HasChecks`."""
         self._require_health()
         motion, asked = self._motion, self._controller.findings
         return list(asked(self._declared, moved_by_us=lambda: motion.alive))
 
     def reach(self) -> Sequence[Finding]:
-        """See `hil.robot.HasReach`."""
+        """Return findings about the network ports of the controller; see `hil.robot.HasReach`."""
         return list(reached(self._options.address))
 
     def connect(self) -> None:
-        """Listen, look whether the arm may be moved, upload the program that moves it.
+        """Connect to the controller, check that the arm can be moved, and upload the robot program.
 
-        After a fault or a lost connection it does so from the beginning.
+        After a fault or a lost connection, the whole connection is established again.
 
         Raises:
-            RobotConnectionError: No controller answers, it has another arm, or is in use.
-            RobotFault: The arm is not in a state in which it may move, or a program plays.
+            RobotConnectionError: No controller answers, the controller moves a different arm, or
+                another client uses the controller.
+            RobotFault: The state of the arm does not permit a motion, or a program plays.
         """
         alive = self._controller.receiver.alive and self._motion.alive
         if self._connected and alive and not (self._watch.faulty or self._watch.severed):
@@ -165,11 +170,11 @@ class UrRobot:
         self._connected = True
 
     def listen(self) -> None:
-        """Connect for receiving state only; see `hil.robot.Listens`.
+        """Connect to receive the state of the controller only; see `hil.robot.Listens`.
 
         Raises:
-            RobotConnectionError: No controller answers, or it has another arm.
-            SpecError: It does not send what shall be the effort.
+            RobotConnectionError: No controller answers, or the controller moves a different arm.
+            SpecError: The controller does not send the RTDE output of the configured torque source.
         """
         if self._listening and self._controller.receiver.alive:
             return
@@ -183,14 +188,18 @@ class UrRobot:
 
     @property
     def program_running(self) -> bool:
-        """See `hil.robot.Listens`."""
+        """Whether a program plays or is paused on the controller; see `hil.robot.Listens`."""
         return self._newest is not None and bool(program_running(self._newest[-1:])[0])
 
     def set_payload(self, payload: Payload) -> Payload:
-        """Declare a load and wait until the controller reports it.
+        """Declare a payload and wait until the controller reports it.
+
+        Returns:
+            Payload that the controller reports, returned at the latest after `READ_BACK_S`.
 
         Raises:
-            CommandRefused: It is too heavy, the arm is moving, or it was not accepted.
+            CommandRefused: The payload is too heavy, the arm is moving, or the controller refused
+                it.
         """
         self._require_health()
         require_liftable(payload, self.limits)
@@ -202,11 +211,12 @@ class UrRobot:
         return self._controller.believed
 
     def prepare(self, segment: Segment) -> None:
-        """Check and keep the next segment.
+        """Check and store the next segment.
 
         Raises:
-            CommandRefused: It leaves the limits, moves at its ends, or begins elsewhere.
-            RobotFault: The arm does not obey any more.
+            CommandRefused: The segment exceeds the limits, is not at rest at its ends, or does not
+                begin at the present set-point.
+            RobotFault: The arm has a fault and does not obey any more.
         """
         self._require_health()
         stops = self._stops
@@ -214,47 +224,51 @@ class UrRobot:
         if segment.kind != "hold":
             self._motion.prepare(segment)
         self._prepared = segment
-        if self._stops != stops:  # one that has come meanwhile holds
+        if self._stops != stops:  # a concurrent stop has priority
             self._prepared = None
-            raise CommandRefused("stopped while it was prepared", hint="prepare it again")
+            raise CommandRefused(
+                "the segment was stopped while it was prepared", hint="prepare it again"
+            )
 
     def start(self) -> None:
-        """Begin the prepared segment.
+        """Start the prepared segment.
 
         Raises:
-            CommandRefused: Nothing is prepared, or a motion is still on.
+            CommandRefused: No segment is prepared, or a motion is still running.
         """
         segment, self._prepared = self._prepared, None
         self._require_health()
         if segment is None:
             raise nothing_prepared()
         if self._watch.moving:
-            raise CommandRefused("a segment is still running", hint="read until it is over")
-        self._controller.receiver.keep(None)  # a dwell is measured as much as a motion
+            raise CommandRefused("a segment is still running", hint="read until the segment ends")
+        self._controller.receiver.keep(None)  # a dwell is recorded like a motion
         if segment.kind == "hold":
-            # What waits to be read was before it, and may be seconds old.
+            # Queued rows are older than the start, possibly by seconds.
             now = float(self._controller.row["timestamp"])
             self._watch.begun(segment.index, now, moves=False)
             return
         self._watch.begun(segment.index, self._motion.start(), moves=True)
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
-        """All samples since the last call.
+        """Return all samples since the last call.
 
-        A fault comes with the rows that show it; the next call raises it, once, so that whoever
-        watches the arm come to rest still sees it.
+        A fault is raised by exactly one call: the call after the one that returned the rows with
+        the fault. A client that watches the arm come to rest therefore receives the rows that show
+        the fault.
 
         Raises:
             RobotTimeout: No sample arrived in time.
-            RobotFault: The arm stopped, or was stopped because it did not follow.
-            RobotConnectionError: The controller or the process that moves it is gone.
+            RobotFault: The arm stopped because of a fault, or the driver stopped the arm because it
+                did not follow its set-points.
+            RobotConnectionError: The connection to the controller or the motion process is lost.
         """
         self._require_connection()
         problem, self._watch.problem = self._watch.problem, None
         if problem is not None:
             raise problem
         raw = self._controller.receiver.take(timeout_s)
-        # From here on nothing is raised: what was taken is in nobody else's hands.
+        # Nothing below raises: an exception would lose the rows taken from the receiver.
         self._newest = raw
         self._slider = slider_of(raw)
         rows = state_rows(raw, self._options.torque_source)
@@ -266,12 +280,13 @@ class UrRobot:
         return rows
 
     def stop(self) -> None:
-        """Bring the arm to rest: by the program that moves it, else by one that replaces it.
+        """Stop the arm by the robot program, or by a second program that replaces the first.
 
-        Seconds after our program was ended by somebody else, their programs are left alone.
+        If the driver's program ended more than `OURS_FOR_S` seconds ago, the program of another
+        client is left running.
 
         Raises:
-            RobotConnectionError: No way to stop the arm was open.
+            RobotConnectionError: No stop command could be sent.
         """
         if not self._connected:
             return
@@ -289,11 +304,11 @@ class UrRobot:
             self._stop_directly()
         else:
             if self._watch.must_not_go_on(row):
-                # A program that a protective stop has paused must not go on once it is unlocked.
+                # A program paused by a protective stop must not resume when the stop is unlocked.
                 stop_program(self._controller.host)
 
     def close(self) -> None:
-        """Stop, end the program, disconnect."""
+        """Stop the arm, end the robot program and disconnect."""
         if self._listening:
             self._let_go()
         if not self._connected:
@@ -306,7 +321,7 @@ class UrRobot:
             self._let_go()
 
     def _look(self, raw: StructArray) -> None:
-        """Update the state of the motion; the next read raises a problem."""
+        """Update the state of the motion from raw rows; the next `read` raises any problem."""
         progress, error = None, None
         try:
             progress = None if self._watch.severed else self._motion.look()[0]
@@ -329,9 +344,9 @@ class UrRobot:
         self._watch.replaced = True
         if not stop_directly(self._controller.host, self._options.stop_rad_s2):
             raise RobotConnectionError(
-                f"{self._options.address}: the controller could not be told to stop; its watchdog "
+                f"{self._options.address}: no stop could be sent to the controller; its watchdog "
                 f"stops the program within {1 / self._options.watchdog_hz:.2f} s",
-                hint="see to the robot itself, by its emergency stop if need be",
+                hint="press the emergency stop if the arm moves",
             )
 
     def _require_connection(self) -> None:
@@ -341,10 +356,12 @@ class UrRobot:
     def _require_health(self) -> None:
         self._require_connection()
         if self._listening:
-            raise CommandRefused(f"{self._name} is only listened to", hint="call connect() first")
+            raise CommandRefused(
+                f"{self._name} is connected for listening only", hint="call connect() first"
+            )
         if self._watch.severed:
             raise RobotFault(
-                f"{self._name} was stopped by a program that has replaced the one that moves it",
+                f"{self._name} was stopped by a program that has replaced its motion program",
                 hint="connect() again",
             )
         if self._watch.faulty:
@@ -358,31 +375,33 @@ class UrRobot:
 
 
 RAMP_GRACE_S = 0.5
-"""How much longer than its ramp an arm may take to be seen standing still after a stop [s]."""
+"""Device time [s] after the end of the stop ramp within which the rows must show the arm at
+rest."""
 
 EXPLAINED_S = 0.5
-"""How long it waits for rows that explain it when the process that moves the arm has stopped the
-arm and left: it sees them by a connection of its own [s]."""
+"""Device time [s] of the wait for rows that show the cause after the motion process has stopped
+the arm and exited; these rows arrive by a separate connection."""
 
 OURS_FOR_S = 3.0
-"""How long after the end of our program a fault is still ours to deal with [s]; whoever stands at
-the pendant may start another one then."""
+"""Device time [s] after the end of the driver's program during which the driver still stops the
+arm; later, an operator at the pendant has possibly started a different program."""
 
 
 class Watch:
-    """State of the arm, from connecting to the first fault.
+    """State of the arm from the connection to the first fault.
 
     Args:
-        options: Of the arm.
+        options: Options of the arm.
 
     Attributes:
-        faulty: Whether it does not obey any more: it has to be connected again.
-        halted: Whether the arm was stopped since the newest segment began.
-        replaced: Whether our program was ended by ourselves, and is not to be missed.
-        severed: Whether the process that moves the arm was passed over when the arm was stopped:
-            its program is gone without its doing, and it ends.
-        gone_at: Device time at which our program was seen to have ended; None while it was not [s].
-        problem: What was found wrong; the next read raises it, once.
+        faulty: Whether the arm has a fault, so that it must be connected again.
+        halted: Whether a stop was requested since the newest segment began.
+        replaced: Whether the driver itself has replaced the robot program, so that the end of the
+            program does not count as a fault.
+        severed: Whether the arm was stopped without the motion process, which then loses its robot
+            program and exits.
+        gone_at: Device time of the first row without the robot program [s]; None before such a row.
+        problem: Detected problem, which only the next call of `read` raises.
     """
 
     def __init__(self, options: Options) -> None:
@@ -396,18 +415,22 @@ class Watch:
 
     @property
     def moving(self) -> bool:
-        """Whether the newest segment's motion has not been seen to end."""
+        """Whether the motion of the newest segment has not ended yet."""
         return self._standing.moving
 
     def begun(self, index: int, at: float, *, moves: bool) -> None:
-        """A segment begins after that device time [s]."""
+        """Record the device time [s] after which a new segment begins."""
         self._standing.begin(index, at, moves=moves)
         self.halted = False
         if moves:
             self._stopped_by = None
 
     def stopping(self, row: Any) -> None:
-        """Note that the arm is stopped; with its newest raw row, None if there is none."""
+        """Record a stop request and set its time limit.
+
+        Args:
+            row: Newest raw row; None if there is no row, in which case no time limit is set.
+        """
         self.halted = True
         if row is not None:
             speed = float(np.abs(row["target_qd"]).max())
@@ -422,16 +445,16 @@ class Watch:
         *,
         left: bool = False,
     ) -> bool:
-        """Judge a block of raw rows, every one of them.
+        """Check every row in a block of raw rows for faults and for the end of the robot program.
 
         Args:
-            raw: (N,), N ≥ 1.
-            progress: How the motion stands, by the process that moves the arm.
-            error: What that process said instead.
-            left: Whether it has stopped the arm and ended by itself.
+            raw: (N,) raw rows, N ≥ 1.
+            progress: State of the motion reported by the motion process.
+            error: Error that the motion process raised instead of reporting `progress`.
+            left: Whether the motion process has stopped the arm and exited by itself.
 
         Returns:
-            Whether a motion has just been seen to end.
+            Whether a motion has ended in this block.
         """
         moved = self.moving
         if moved and progress is not None and not int(progress["status"]) & Status.MOVING:
@@ -441,7 +464,7 @@ class Watch:
             self.gone_at = float(raw["timestamp"][int(ended.argmax())])
         if error is not None:
             self._left = self._left or (float(raw["timestamp"][-1]), error)
-        # Who has stopped the arm for silence has ended the program, too: that explains nothing.
+        # After a stop for silence, the end of the program is a consequence, not the cause.
         stale = self._left is not None and isinstance(self._left[1], StaleState)
         fault = first_fault(raw, program=not (self.replaced or stale))
         if fault is None and error is not None and self._left is not None:
@@ -450,37 +473,40 @@ class Watch:
             error = None if waits else error
         self.note(fault or error)
         if self.moving and self.halted and progress is None and still(raw[-1]):
-            # Who moved it is not there any more to say so. While it is, the arm may stand before
-            # the program has answered the stop, and nothing can be started before that.
+            # The motion process is gone and cannot report the end. While it runs, the arm is
+            # possibly at rest before the program confirms the stop, and no motion can start before
+            # that.
             self._standing.end(float(raw["timestamp"][-1]))
         return moved and not self.moving
 
     def note(self, problem: HilError | None) -> None:
-        """Note a problem; the first one counts."""
+        """Record a problem; only the first problem is retained."""
         if problem is not None and not self.faulty:
             self.problem, self.faulty, self.halted = problem, True, True
 
     def must_not_go_on(self, row: Any) -> bool:
-        """Return whether a raw row shows a pause of our program that a person could end."""
+        """Return whether a raw row shows that an operator could resume the driver's program."""
         if row is None or not self.faulty or self.gone_at is not None:
             return False
-        # For some ticks after a protective stop the program may still be said to play.
+        # For some ticks after a protective stop, the program is possibly still reported as
+        # playing.
         held = int(program_state(row.reshape(1))[0]) in (PAUSING, PAUSED) or complaints(row)
         return bool(held)
 
     def is_for_others(self, row: Any) -> bool:
-        """Return whether another client moves the arm.
+        """Return whether another client is possibly moving the arm, from the newest raw row.
 
-        Shortly after our program has ended it may be that `ur-rtde` has uploaded it again.
+        Within `OURS_FOR_S` after the end of the driver's program, a running program is assumed to
+        be an upload by `ur-rtde`.
         """
         if row is None or not self.faulty or self.gone_at is None:
             return False
         return float(row["timestamp"]) - self.gone_at > OURS_FOR_S
 
     def stop_has_failed(self, raw: StructArray) -> bool:
-        """Return, once, whether the arm moved when it ought to have been at rest.
+        """Return whether the arm moves after the time limit of a stop; true at most once per stop.
 
-        What it does later is another's doing.
+        A motion that begins later belongs to another client and is not checked.
         """
         if self._stopped_by is None:
             return False
@@ -491,35 +517,34 @@ class Watch:
         return not still(after[0])
 
     def stamp(self, rows: StructArray) -> None:
-        """Fill in segment and status of state rows, in place."""
+        """Write segment and status into state rows, in place."""
         self._standing.stamp(rows)
         if self.faulty:
             rows["status"][-1] |= Status.FAULT
 
 
 class Standing:
-    """Beginning and end of each segment, by device time.
+    """Record of the device times at which each segment starts and ends.
 
-    Segments follow each other: one ends where the next begins. A motion that nobody has seen end
-    yet is still going on.
+    A segment ends when the next segment begins. A motion continues until its end is detected.
     """
 
     def __init__(self) -> None:
-        # When it began, its index, when its motion was over (inf: not yet).
+        # Device time of the start, index, device time of the end of motion (inf: not yet).
         self._known: list[tuple[float, int, float]] = [(-np.inf, -1, -np.inf)]
 
     @property
     def moving(self) -> bool:
-        """Whether the newest segment's motion has not been seen to end."""
+        """Whether the motion of the newest segment has not ended yet."""
         return self._known[-1][2] == np.inf
 
     def begin(self, index: int, at: float, *, moves: bool) -> None:
-        """A segment begins with the first sample after a device time [s]."""
+        """Record that a segment begins with the first sample after a device time [s]."""
         self.end(at)
         self._known.append((at, index, np.inf if moves else at))
 
     def end(self, at: float) -> None:
-        """The newest motion was over by that device time; nothing happens when none was on."""
+        """Record the device time [s] at which the newest motion ended, if it is still running."""
         begun, index, _ = self._known[-1]
         if self.moving:
             self._known[-1] = (begun, index, max(at, begun))

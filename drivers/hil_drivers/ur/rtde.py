@@ -1,22 +1,31 @@
-"""Real-Time Data Exchange: a lossless client for the state that a UR controller sends.
+"""Lossless Real-Time Data Exchange (RTDE) client for the state of a UR controller.
 
-`ur-rtde`, which moves the arm, keeps the latest state only and drops what came before it; a
-recording needs every one. The way of a data package, from the outside in:
+The library `ur-rtde`, which moves the arm, retains only the latest state of the controller. A
+recording needs every state, so this module contains a separate client.
 
-- `Receiver` is what the driver uses: connect, take rows, close.
-- `Stream` is its thread. It reads the socket as soon as something is there and keeps the packages
-  in a bounded queue until they are taken. If nothing takes them, it stops reading: first the
-  kernel waits, then the controller, and at last it is an error. Nothing is dropped unnoticed.
-- `Cutter` cuts the byte stream into packages and checks their time stamps for gaps.
-- `Conversation` agrees with the controller on the outputs to be sent (`Agreement`). Outputs that
-  a controller does not know, by series or software, are left out. Text messages may come between
-  any question and its answer.
-- `Layout` turns packages into rows, many at once, by swapping runs of one width to this machine's
-  byte order.
-- `FIELDS` lists the recorded outputs.
+`Receiver` is the class that the driver uses: `Receiver` connects, returns rows and closes the
+connection.
 
-Every package is `size` (u16, all bytes of it), `kind` (u8) and content, in network byte order.
-Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", protocol version 2.
+`Stream` is the receiving thread. The thread reads the socket as soon as data arrives and stores the
+packages in a bounded queue. If the queue is full, the thread stops reading: data then waits in the
+kernel and in the controller, and after `PATIENCE_S` the stream fails with an error. No package is
+dropped silently.
+
+`Cutter` splits the byte stream into packages and checks their time stamps for gaps.
+
+`Conversation` negotiates the outputs with the controller; the result of the negotiation is an
+`Agreement`. Outputs that the series or software of the controller lacks are left out of the
+recording. Text messages of the controller are accepted between a request and its answer.
+
+`Layout` converts many packages at a time into rows. The byte order of all neighbouring values of
+equal width is swapped in one operation.
+
+`FIELDS` lists the recorded outputs.
+
+Every RTDE package consists of `size` (u16, number of bytes of the whole package), `kind` (u8) and
+content, in network byte order.
+
+The source is Universal Robots, "Real-Time Data Exchange (RTDE) Guide", protocol version 2.
 """
 
 from __future__ import annotations
@@ -48,19 +57,23 @@ KEPT_TEXTS = 200
 
 
 class Receiver:
-    """Listens to one controller and commands nothing; any number of clients may.
+    """Receiver of the states of one controller, without any commands to the controller.
+
+    Several receivers can be connected to the same controller.
 
     Args:
         host: Address of the controller.
-        frequency_hz: States per second; None for all there are (125 on CB3, 500 on e-Series).
-        port: Of the RTDE server.
-        step_s: How long connecting and each step of the handshake may take [s].
-        silence_s: Without a state for so long, the connection counts as lost [s].
-        capacity_s: How much may wait to be taken, by the robot's clock [s]; then the kernel and
-            the controller wait, and after two more seconds it is an error.
+        frequency_hz: Requested states per second; None for the maximum rate (125 Hz on CB3, 500 Hz
+            on e-Series).
+        port: TCP port of the RTDE server.
+        step_s: Timeout for the connection and for each step of the handshake [s].
+        silence_s: Duration without a new state after which the connection counts as lost [s].
+        capacity_s: Maximum duration of queued rows by the controller's clock [s]. If the queue is
+            full, the kernel and then the controller buffer the data; after two more seconds the
+            stream fails.
 
     Attributes:
-        messages: What the controller said in words; the oldest are forgotten.
+        messages: Latest text messages of the controller, at most `KEPT_TEXTS`.
     """
 
     def __init__(
@@ -85,53 +98,57 @@ class Receiver:
 
     @property
     def version(self) -> Version:
-        """Of the controller's software: major, minor, bug-fix, build."""
+        """Software version of the controller: major, minor, bug-fix, build."""
         return self._agreed.version
 
     @property
     def frequency_hz(self) -> float:
-        """States per second."""
+        """Agreed number of states per second."""
         return self._agreed.frequency_hz
 
     @property
     def missing(self) -> Mapping[str, str]:
-        """Outputs that this controller does not send → why not."""
+        """Outputs that this controller does not send, each with the reason."""
         return self._agreed.missing
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Of the rows: `host_time` and the RTDE outputs by their names."""
+        """Data type of the rows: `host_time` and the RTDE outputs by their names."""
         return self._agreed.layout.dtype
 
     @property
     def counts(self) -> Counts:
-        """Counts since `open`."""
+        """Counts of packages and rows since `open`."""
         return self._stream.counts if self._stream else Counts()
 
     @property
     def alive(self) -> bool:
-        """Whether states may still come."""
+        """Whether the stream is open, so that more states can arrive."""
         return self._stream is not None and self._stream.alive
 
     @property
     def age_s(self) -> float:
         """Time since the controller's clock last advanced [s].
 
-        A state that is repeated is no news; infinite when not connected.
+        A repeated state does not reset this time. The time is infinite if the receiver is not
+        connected.
         """
         return self._stream.age_s if self._stream and self._stream.alive else math.inf
 
     @property
     def newest(self) -> StructArray | None:
-        """The newest row, shape (1,), whether it was taken or not; None before the first."""
+        """Newest row with shape (1,), even if `take` has already returned this row.
+
+        The value is None before the first row arrives.
+        """
         return self._stream.newest if self._stream else None
 
     def open(self) -> None:
-        """Connect, agree on the outputs, and start; does nothing while connected.
+        """Connect, negotiate the outputs and start the stream; do nothing if already connected.
 
         Raises:
-            RobotConnectionError: Nobody there, or no RTDE server, or it refuses; or `close` came
-                from another thread meanwhile.
+            RobotConnectionError: No RTDE server answers, the server refuses, or another thread
+                called `close` in the meantime.
         """
         with self._opening:
             if self.alive:
@@ -163,11 +180,13 @@ class Receiver:
                 self._end_stream()
 
     def keep(self, seconds: float | None, *, forgiving: bool = False) -> None:
-        """Set the age beyond which waiting rows are dropped, by the robot's clock.
+        """Set the maximum age of queued rows by the controller's clock; drop older rows.
 
         Args:
-            seconds: None to lose nothing, as after `open`.
-            forgiving: When `capacity_s` wait nevertheless, drop the oldest instead of ending.
+            seconds: Maximum age of queued rows [s]; None to drop no row, which is the setting after
+                `open`.
+            forgiving: Whether the oldest rows are dropped, instead of ending the stream, if the
+                queue reaches `capacity_s`.
         """
         if self._stream is not None:
             rate = self.frequency_hz
@@ -175,19 +194,22 @@ class Receiver:
             self._stream.keep = None if seconds is None else max(1, int(seconds * rate))
 
     def take(self, timeout_s: float = 1.0) -> StructArray:
-        """All rows since the last call, in order, at least one; see `dtype`.
+        """Return all rows since the last call, at least one row, in order; their type is `dtype`.
 
         Raises:
-            RobotTimeout: None came within `timeout_s`.
-            RobotConnectionError: It was never opened, or the connection is gone; what came
-                before that was taken by the calls before.
+            RobotTimeout: No row arrived within `timeout_s`.
+            RobotConnectionError: The receiver was never opened, or the connection is lost and
+                earlier calls returned all rows received before.
         """
         if self._stream is None:
             raise self._not_open()
         return self._stream.take(timeout_s)
 
     def close(self) -> None:
-        """End the connection; idempotent, for any thread. A waiting `take` raises an error."""
+        """Close the connection; any thread can call this method, and repeated calls have no effect.
+
+        A call of `take` that waits in another thread raises an error.
+        """
         self._closed.set()
         shaking = self._shaking
         if shaking is not None:
@@ -220,8 +242,8 @@ class Receiver:
             raise RobotConnectionError(
                 f"no RTDE server answers at {self._peer}: {error.strerror or error}",
                 hint=mock_first(self._address[0], "ur")
-                + "is the robot on, the cable in, the address right, RTDE not disabled in the "
-                "controller's security settings?",
+                + "check that the robot is on, the cable plugged in, the address right and RTDE "
+                "enabled in the controller's security settings",
             ) from error
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return line
@@ -239,31 +261,37 @@ class Receiver:
 READ_BYTES = 1 << 18
 
 PATIENCE_S = 2.0
-"""How long a full queue is waited for; what comes meanwhile stays with the kernel [s]."""
+"""Maximum wait for space in a full queue [s]; meanwhile the kernel buffers the incoming data."""
 
 HURRY_S = 1e-3
-"""What follows sooner is read together: no robot is so fast, but simulated ones are, and waking up
-for each state would cost them more than making it [s]."""
+"""Minimum interval between two reads of the socket [s].
 
-_CLOSED = ("is not listened to any more: its connection was closed", "connect again")
-_LOST = "see to the robot: is it on, is the cable in, was it restarted? then connect again"
+Data that arrive within this interval are read together. A real robot never sends two packages
+within the interval. Simulated robots do, and waking up for each state would take longer than
+generating the state.
+"""
+
+_CLOSED = ("is no longer read: the connection was closed", "connect again")
+_LOST = "check that the robot is on, the cable plugged in and no restart in progress; connect again"
 
 
 class Stream:
-    """Rows of a started controller, in a bounded queue; without loss, or with an error.
+    """Receiving thread with a bounded queue of rows; no loss without an error.
 
     Args:
-        line: Connected and started; this object closes it.
-        peer: The address, for messages.
-        agreement: With the controller, about its outputs.
-        silence_s: Without a data package for so long, the connection counts as lost [s].
-        capacity_s: How much waits to be taken at most, by the robot's clock [s].
-        texts: Where text messages go; the oldest are forgotten.
+        line: Connected socket on which data packages have been started; the stream closes the
+            socket.
+        peer: Address of the controller, for error messages.
+        agreement: Agreement with the controller about its outputs.
+        silence_s: Duration without a new state after which the connection counts as lost [s].
+        capacity_s: Maximum duration of queued rows by the controller's clock [s].
+        texts: Queue that receives the text messages of the controller; the oldest are dropped.
 
     Attributes:
-        keep: Most rows that wait to be taken, older ones being dropped; None for all.
-        forgiving: Whether the oldest rows are let go when the queue is full and nobody takes any;
-            else that is the end of the stream.
+        keep: Maximum number of queued rows, beyond which the oldest rows are dropped; None to keep
+            all rows.
+        forgiving: Whether the oldest rows are dropped if the queue stays full. If `forgiving` is
+            false, a queue that stays full ends the stream.
     """
 
     def __init__(
@@ -295,34 +323,37 @@ class Stream:
 
     @property
     def counts(self) -> Counts:
-        """Counts so far."""
+        """Counts of packages and rows so far."""
         return self._cutter.counts
 
     @property
     def alive(self) -> bool:
-        """Whether data packages may still come."""
+        """Whether the stream has no error yet, so that more data packages can arrive."""
         return self._problem is None
 
     @property
     def age_s(self) -> float:
-        """Time since the controller's clock last advanced, or since the start [s].
+        """Time since the controller's clock last advanced, or since the start of the stream [s].
 
-        Packages that repeat one state are no news of the arm.
+        A package that repeats the previous state does not reset this time.
         """
         return time.monotonic() - self._heard
 
     @property
     def newest(self) -> StructArray | None:
-        """The newest row, shape (1,), taken or not; None before the first one."""
+        """Newest row with shape (1,), even if `take` has already returned this row.
+
+        The value is None before the first row arrives.
+        """
         newest = self._newest
         return None if newest is None else self._layout.rows(*newest)
 
     def take(self, timeout_s: float) -> StructArray:
-        """All rows since the last call, in order, at least one.
+        """Return all rows since the last call, at least one row, in order.
 
         Raises:
-            RobotTimeout: None came in time.
-            RobotConnectionError: None are left, and none will come any more.
+            RobotTimeout: No row arrived within `timeout_s`.
+            RobotConnectionError: The stream has ended and no row is left in the queue.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._queue or self._problem, timeout_s)
@@ -336,9 +367,12 @@ class Stream:
         return self._layout.rows(b"".join(data for data, _, _ in pieces), host_time)
 
     def close(self) -> None:
-        """End the connection, from any thread, as often as wanted."""
+        """Close the connection.
+
+        Any thread can call this method, and repeated calls have no effect.
+        """
         self._fail(_CLOSED)
-        with contextlib.suppress(OSError):  # it was gone before
+        with contextlib.suppress(OSError):  # the connection was already closed
             self._line.shutdown(socket.SHUT_RDWR)
         if threading.current_thread() is not self._thread:
             self._thread.join()
@@ -347,10 +381,10 @@ class Stream:
         if self._problem is None:
             return RobotTimeout(
                 f"the controller at {self._peer} has sent no state for {timeout_s:g} s",
-                hint="look at cable, switch and controller",
+                hint="check cable, switch and controller",
             )
         what, hint = self._problem
-        said = "".join(f"; it said: {text}" for text in list(self._texts)[-2:])
+        said = "".join(f"; its message: {text}" for text in list(self._texts)[-2:])
         return RobotConnectionError(f"the controller at {self._peer} {what}{said}", hint=hint)
 
     def _run(self) -> None:
@@ -359,8 +393,8 @@ class Stream:
                 self._read()
         except OSError as error:
             self._fail((f"broke the connection: {error.strerror or error}", _LOST))
-        except Exception as error:  # it would go unnoticed in this thread
-            self._fail((f"could not be read: {error!r}", "please report this"))
+        except Exception as error:  # an unhandled error in this thread would go unnoticed
+            self._fail((f"could not be read: {error!r}", "report this as a bug of hil"))
         finally:
             self._line.close()
 
@@ -371,13 +405,13 @@ class Stream:
             data = self._line.recv(READ_BYTES)
         except TimeoutError:
             if self.age_s > self._silence_s:
-                self._fail((f"has fallen silent for {self.age_s:.1f} s", _LOST))
+                self._fail((f"has been silent for {self.age_s:.1f} s", _LOST))
             return
         host_time, self._read_at = time.time(), time.monotonic()
         if not data:
             half = f" in the middle of a package ({self._cutter.torn} bytes of it)"
             torn = half if self._cutter.torn else ""
-            self._fail((f"hung up{torn} after {self.counts.packages} states", _LOST))
+            self._fail((f"closed the connection{torn} after {self.counts.packages} states", _LOST))
             return
         packages = self._cutter.feed(data, host_time)
         self._texts.extend(self._cutter.texts)
@@ -385,7 +419,7 @@ class Stream:
         if packages:
             self._put(packages, host_time)
         if self.age_s > self._silence_s:
-            what = "repeated one state, its clock standing still," if packages else "sent no state"
+            what = "repeated one state with a stopped clock" if packages else "sent no state"
             self._fail((f"has {what} for {self.age_s:.1f} s", _LOST))
         if self._cutter.problem is not None:
             self._fail(self._cutter.problem)
@@ -398,7 +432,7 @@ class Stream:
         goes_on = self._clock > before
         self._heard = time.monotonic() if goes_on else self._heard
         with self._changed:
-            # Rows that came are kept even so: the queue may be too long by one reading.
+            # Received rows are always stored: the queue can exceed its capacity by one read.
             self._queue.append((packages, host_time, count))
             self._waiting += count
             if self.keep is not None:
@@ -410,13 +444,13 @@ class Stream:
         self._heard = time.monotonic() if goes_on else self._heard
 
     def _overflow(self) -> None:
-        """The queue is full, and stays so."""
+        """Handle a queue that has stayed full: drop the oldest rows or end the stream."""
         if self.forgiving:
             self._let_go_beyond(self._capacity // 2)
             return
         self._problem = (
-            f"was not listened to: {self._waiting} states wait to be taken",
-            "hil is held up: look for a busy machine or a slow disk",
+            f"was not read in time: {self._waiting} states are waiting",
+            "hil is delayed: look for a busy computer or a slow disk",
         )
         self._changed.notify_all()
 
@@ -428,19 +462,20 @@ class Stream:
         return self._waiting < self._capacity or self._problem is not None
 
     def _fail(self, problem: tuple[str, str]) -> None:
-        """The first problem is the one that explains."""
+        """Record the problem that ends the stream; only the first problem is retained."""
         with self._changed:
             self._problem = self._problem or problem
             self._changed.notify_all()
 
 
 BACK_IS_REBOOT_S = 1.0
-"""A clock that goes back further than this was started anew [s]."""
+"""Backward step of the controller's clock above which the controller counts as restarted [s]."""
 
 LONG_STEP = 1.5
-"""Ticks between two states; from here on states are missing."""
+"""Number of ticks between two consecutive states above which the states between them count as
+missing."""
 
-NETWORK = "look at cable and switch; connect the robot directly"
+NETWORK = "check cable and switch; connect the robot directly"
 
 
 @dataclass(slots=True)
@@ -448,12 +483,12 @@ class Counts:
     """Counts of rows and packages since the connection was opened.
 
     Attributes:
-        packages: Of data.
-        missing: Data packages that are not there, by the time stamps of those around them.
-        duplicates: Data packages with the time stamp of the one before.
-        texts: Text messages.
-        others: Packages of other kinds, which a started controller has no reason to send.
-        deepest: Most rows that have waited to be taken.
+        packages: Number of data packages.
+        missing: Number of missing data packages, inferred from the time stamps of their neighbours.
+        duplicates: Number of data packages with the time stamp of the previous package.
+        texts: Number of text messages.
+        others: Number of packages of other kinds, which are not expected after the start.
+        deepest: Maximum number of rows that have waited in the queue.
     """
 
     packages: int = 0
@@ -465,16 +500,17 @@ class Counts:
 
 
 class Cutter:
-    """Cuts the bytes of a socket into whole packages.
+    """Splitter of the bytes of a socket into whole packages.
 
     Args:
-        layout: Of the data packages.
-        frequency_hz: How many of them there should be in a second.
+        layout: Layout of the data packages.
+        frequency_hz: Expected number of data packages per second.
 
     Attributes:
-        counts: See `Counts`.
-        texts: Text messages since they were last taken away.
-        problem: Error in the stream, with its remedy; nothing is cut after it.
+        counts: Counts of packages; see `Counts`.
+        texts: Text messages that the stream has not yet collected.
+        problem: Message and remedy of an error in the byte stream; no package is returned after an
+            error.
     """
 
     def __init__(self, layout: Layout, frequency_hz: float) -> None:
@@ -487,15 +523,15 @@ class Cutter:
 
     @property
     def torn(self) -> int:
-        """Bytes of a package that is not whole yet."""
+        """Number of received bytes of the last package, which is still incomplete."""
         return len(self._rest)
 
     def feed(self, data: bytes, host_time: float) -> bytes:
-        """The whole data packages that have come, one after the other.
+        """Process received bytes; return the data packages that are now complete, concatenated.
 
         Args:
-            data: Bytes of the socket.
-            host_time: When, Unix time [s].
+            data: Bytes read from the socket.
+            host_time: Unix time at which the bytes were read [s].
         """
         if self.problem is not None:
             return b""
@@ -515,11 +551,14 @@ class Cutter:
         return runs[0] if len(runs) == 1 else b"".join(runs)
 
     def _other(self, data: bytes, at: int, host_time: float) -> int:
-        """Length of a package that is not one of ours; 0 as long as it is not whole, or wrong."""
+        """Process a package that is not a data package of the agreed recipe; return its length.
+
+        The returned length is 0 if the package is incomplete or invalid.
+        """
         size, kind = map(int, HEADER.unpack_from(data, at))
         if kind not in KINDS or size < SHORTEST:
             raw = data[at : at + 16].hex(" ")
-            self.problem = (f"sends bytes that are no RTDE package: {raw}", NETWORK)
+            self.problem = (f"sent bytes that are not an RTDE package: {raw}", NETWORK)
         elif kind == Kind.DATA:
             self._judge_data(data, at, size)
         elif len(data) - at >= size:
@@ -533,20 +572,24 @@ class Cutter:
         return 0
 
     def _judge_data(self, data: bytes, at: int, size: int) -> None:
-        """A data package that is not whole yet, or is none of this recipe."""
+        """Check the head of a data package that is incomplete or has the wrong size or recipe."""
         expected = self._layout.size
         if size != expected:
             self.problem = (f"sent a data package of {size} bytes instead of {expected}", NETWORK)
         elif len(data) - at > HEADER.size and not self._layout.is_head(data, at):
             recipe = data[at + HEADER.size]
-            self.problem = (f"sent a data package of recipe {recipe}, which is not ours", NETWORK)
+            self.problem = (f"sent a data package of the unknown recipe {recipe}", NETWORK)
 
     def _in_order(self, packages: bytes) -> bytes:
-        """Count by the time stamps; packages from where the clock is wrong are cut off."""
+        """Update the counts from the time stamps and return the packages in order.
+
+        Packages after an invalid time stamp are cut off.
+        """
         if len(packages) == self._layout.size:
             return self._next(packages)
         times = np.append(self._newest, self._layout.times(packages))
-        # The step to the very first one is NaN: neither a gap nor a step back.
+        # The step to the very first time stamp is NaN, which counts neither as a gap nor as
+        # backward.
         steps = np.diff(times)
         wrong = (steps < 0) | ~np.isfinite(times[1:])
         if wrong.any():
@@ -562,7 +605,11 @@ class Cutter:
         return packages[: len(steps) * self._layout.size]
 
     def _next(self, package: bytes) -> bytes:
-        """The same for one package, as it is at a robot's own pace: numpy costs five times more."""
+        """Check and count a single package, as `_in_order` does for several packages.
+
+        At the rate of a real robot, packages usually arrive one by one, and numpy would take five
+        times longer for a single package.
+        """
         now = self._layout.time(package)
         step = now - self._newest
         if step < 0 or not math.isfinite(now):
@@ -579,11 +626,11 @@ class Cutter:
 
 def _went_back(before: float, now: float) -> tuple[str, str]:
     if not math.isfinite(now):
-        return f"says that its clock is at {now} s", NETWORK
+        return f"sent the invalid time stamp {now} s", NETWORK
     if before - now > BACK_IS_REBOOT_S:
         return (
             f"was restarted: its clock went back from {before:.3f} s to {now:.3f} s",
-            "wait until the robot is up, see to it, connect again",
+            "wait until the controller has started, check the robot, connect again",
         )
     return f"sent states out of order: {now:.3f} s after {before:.3f} s", NETWORK
 
@@ -592,29 +639,30 @@ PROTOCOL = 2
 CB3_HZ, E_SERIES_HZ = 125.0, 500.0
 
 ROUNDS = 4
-"""So often the outputs are asked for: a controller may refuse others the second time."""
+"""Maximum number of requests for the outputs, because a controller can refuse further outputs in
+each answer."""
 
 _VERSION = struct.Struct(">IIII")
 _FREQUENCY = struct.Struct(">d")
 
 _REASONS = {
-    "NOT_FOUND": "this software does not have it",
+    "NOT_FOUND": "not available in this software",
     "IN_USE": "another RTDE client or a fieldbus owns it",
 }
 
-_AWAY = "is the controller being restarted? too many RTDE clients? see its log and try again"
+_AWAY = "check for a restart or too many RTDE clients in the controller's log, then try again"
 Version = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """The recipe and rate that a controller has agreed to.
+    """Output recipe and rate that a controller has accepted.
 
     Attributes:
-        version: Of its software: major, minor, bug-fix, build.
-        frequency_hz: Packages per second asked for.
-        layout: Of a data package.
-        missing: Variables that are not sent → why not.
+        version: Software version of the controller: major, minor, bug-fix, build.
+        frequency_hz: Requested number of packages per second.
+        layout: Layout of a data package.
+        missing: Outputs that the controller does not send, each with the reason.
     """
 
     version: Version
@@ -624,13 +672,13 @@ class Agreement:
 
 
 class Conversation:
-    """Questions and answers over one socket.
+    """Handshake with the RTDE server over one socket: requests and answers.
 
     Args:
-        line: Connected.
-        peer: The address, for messages.
-        step_s: How long an answer may take [s].
-        heard: Called with every text message.
+        line: Connected socket.
+        peer: Address of the controller, for error messages.
+        step_s: Timeout for each answer [s].
+        heard: Function called with every text message.
     """
 
     def __init__(
@@ -644,18 +692,19 @@ class Conversation:
         self._said: list[TextMessage] = []
 
     def agree(self, frequency_hz: float | None) -> Agreement:
-        """Everything before the start.
+        """Negotiate protocol version, rate and outputs with the controller before the start.
 
         Args:
-            frequency_hz: Packages per second; None for all that the controller makes.
+            frequency_hz: Packages per second; None for the maximum rate of the controller.
 
         Raises:
-            RobotConnectionError: No answer in time, no RTDE server, or one that refuses.
+            RobotConnectionError: No answer arrives in time, the peer is not an RTDE server, or the
+                server refuses.
         """
         accepted = self._ask(Kind.VERSION, struct.pack(">H", PROTOCOL), "the protocol version")
         if accepted[:1] != b"\x01":
             raise self._problem(
-                f"does not speak RTDE protocol {PROTOCOL}", "update the controller's software"
+                f"does not support RTDE protocol {PROTOCOL}", "update the controller's software"
             )
         version = self._controller_version()
         fastest = CB3_HZ if version[0] <= 3 else E_SERIES_HZ
@@ -663,42 +712,46 @@ class Conversation:
         if not 0 < rate <= fastest:
             raise self._problem(
                 f"sends at most {fastest:g} packages per second, not {rate:g}",
-                f"ask for a frequency up to {fastest:g} Hz, or for none",
+                f"request at most {fastest:g} Hz, or omit the frequency",
             )
         wanted, missing = names_for(version[0])
         layout = self._outputs(wanted, rate, missing)
         return Agreement(version, rate, layout, missing)
 
     def start(self) -> None:
-        """Let the controller send data packages.
+        """Request the start of data packages.
 
         Raises:
-            RobotConnectionError: The controller refuses, or does not answer.
+            RobotConnectionError: The controller refuses the request, or does not answer.
         """
         if self._ask(Kind.START, b"", "the start")[:1] != b"\x01":
             raise self._problem(
-                "refuses to send its state", "see the controller's log; restart it if need be"
+                "refuses to send its state", "see the controller's log; restart it if necessary"
             )
 
     def _controller_version(self) -> Version:
         content = self._ask(Kind.CONTROLLER, b"", "the controller's version")
         if len(content) != _VERSION.size:
             raise self._problem(
-                f"tells its version in {len(content)} bytes instead of {_VERSION.size}",
-                "is that a UR controller?",
+                f"sent its version in {len(content)} bytes instead of {_VERSION.size}",
+                "check that the address is that of a UR controller",
             )
         major, minor, bugfix, build = _VERSION.unpack(content)
         return major, minor, bugfix, build
 
     def _outputs(self, wanted: list[str], rate: float, missing: dict[str, str]) -> Layout:
-        """Ask until the controller has all remaining names; the others go to `missing`."""
+        """Request the outputs until the controller accepts all remaining names.
+
+        Refused names are added to `missing` with the reason.
+        """
         for _ in range(ROUNDS):
             question = _FREQUENCY.pack(rate) + ",".join(wanted).encode()
             answer = self._ask(Kind.OUTPUTS, question, "the list of outputs")
             types = answer[1:].decode("ascii", "replace").strip().rstrip(",").split(",")
             if len(types) != len(wanted):
                 raise self._problem(
-                    f"names {len(types)} types for {len(wanted)} outputs", "is that a UR robot?"
+                    f"returned {len(types)} types for {len(wanted)} outputs",
+                    "check that the address is that of a UR controller",
                 )
             refused = {n: _reason(t) for n, t in zip(wanted, types, strict=True) if t not in TYPES}
             if not refused:
@@ -709,7 +762,8 @@ class Conversation:
             missing |= refused
             wanted = [name for name in wanted if name not in refused]
         raise self._problem(
-            f"refuses other outputs every time: {', '.join(missing)}", "restart the controller"
+            f"refused further outputs at each request: {', '.join(missing)}",
+            "restart the controller",
         )
 
     def _require(self, refused: Mapping[str, str]) -> None:
@@ -721,7 +775,7 @@ class Conversation:
                 )
 
     def _ask(self, kind: Kind, content: bytes, what: str) -> bytes:
-        """Send a question and wait for the answer of its kind."""
+        """Send a request and return the content of the answer of the same kind."""
         deadline = time.monotonic() + self._step_s
         try:
             self._line.settimeout(self._step_s)
@@ -730,16 +784,16 @@ class Conversation:
                 size, came = HEADER.unpack(self._read(HEADER.size, deadline))
                 if came not in KINDS or not SHORTEST <= size <= LONGEST:
                     raise self._problem(
-                        f"answers {what} with something that is not RTDE",
-                        f"is port {self._peer.rpartition(':')[2]} the RTDE port of a UR robot?",
+                        f"answered {what} with data that is not RTDE",
+                        f"check that {self._peer.rpartition(':')[2]} is the RTDE port of a UR",
                     )
                 answer = self._read(size - HEADER.size, deadline)
                 if came == kind and answer:
                     return answer
                 if came != Kind.TEXT:
                     raise self._problem(
-                        f"answers {what} by a package {chr(came)!r} of {len(answer)} bytes",
-                        "is something between hil and the robot? connect directly",
+                        f"answered {what} by a package {chr(came)!r} of {len(answer)} bytes",
+                        "connect directly to the robot, without a device in between",
                     )
                 said = text_message(answer, time.time())
                 self._said.append(said)
@@ -747,12 +801,12 @@ class Conversation:
         except TimeoutError as error:
             raise self._problem(
                 f"has not answered {what} within {self._step_s:g} s",
-                "it may be starting up, or have too many clients: try again, restart it if need be",
+                "check for a restart or too many RTDE clients; try again, then restart it",
             ) from error
         except RobotConnectionError:
             raise
         except OSError as error:
-            raise self._problem(f"broke off at {what}: {error}", _AWAY) from error
+            raise self._problem(f"broke the connection at {what}: {error}", _AWAY) from error
 
     def _read(self, count: int, deadline: float) -> bytes:
         got = bytearray()
@@ -763,32 +817,32 @@ class Conversation:
             self._line.settimeout(left)
             more = self._line.recv(count - len(got))
             if not more:
-                raise self._problem("hung up during the handshake", _AWAY)
+                raise self._problem("closed the connection during the handshake", _AWAY)
             got += more
         return bytes(got)
 
     def _problem(self, what: str, hint: str) -> RobotConnectionError:
-        said = "".join(f"; it says: {one}" for one in self._said[-3:])
+        said = "".join(f"; its message: {one}" for one in self._said[-3:])
         return RobotConnectionError(f"the controller at {self._peer} {what}{said}", hint=hint)
 
 
 def _reason(token: str) -> str:
-    return _REASONS.get(token, f"its type {token[:40]!r} is not known here")
+    return _REASONS.get(token, f"its type {token[:40]!r} is unknown")
 
 
 HEADER = struct.Struct(">HB")
 
 SHORTEST, LONGEST = HEADER.size, 65535
-"""Of a package, with its header [bytes]."""
+"""Minimum and maximum size of a package, including its header [bytes]."""
 
 DATA_HEAD = struct.Struct(">HBB")
-"""A data package begins with its header and the number of its recipe."""
+"""First bytes of a data package: header and number of the output recipe."""
 
 _TIME = struct.Struct(">d")
 
 
 class Kind(IntEnum):
-    """The kind of a package."""
+    """Kind of an RTDE package."""
 
     VERSION = ord("V")
     CONTROLLER = ord("v")
@@ -804,18 +858,18 @@ KINDS = frozenset(map(int, Kind))
 
 
 def package(kind: Kind, content: bytes = b"") -> bytes:
-    """A package, ready to be sent."""
+    """Return the bytes of a package with its header."""
     return HEADER.pack(HEADER.size + len(content), kind) + content
 
 
 @dataclass(frozen=True, slots=True)
 class TextMessage:
-    """A text message of the controller.
+    """Text message of the controller.
 
     Attributes:
-        text, source: As sent.
-        level: 0 exception, 1 error, 2 warning, 3 information; −1 when it does not say.
-        host_time: When it came, Unix time [s].
+        text, source: Text and source of the message, as sent by the controller.
+        level: Severity: 0 exception, 1 error, 2 warning, 3 information; −1 if not sent.
+        host_time: Unix time of arrival [s].
     """
 
     text: str
@@ -828,7 +882,10 @@ class TextMessage:
 
 
 def text_message(content: bytes, host_time: float) -> TextMessage:
-    """A text message, as far as it is whole: words are for people, and no reason to end."""
+    """Return the text message in the content of a package; an incomplete message is no error.
+
+    Text messages are only displayed, so a truncated message does not end the connection.
+    """
     text, rest = _counted(content)
     source, rest = _counted(rest)
     return TextMessage(text, source, rest[0] if rest else -1, host_time)
@@ -851,26 +908,27 @@ TYPES: Mapping[str, tuple[str, int]] = {
     "VECTOR6INT32": ("<i4", 6),
     "VECTOR6UINT32": ("<u4", 6),
 }
-"""Type as RTDE names it → numpy type of one value in a row, and how many of them."""
+"""Map from RTDE type name to the numpy type of one value in a row, and the number of values."""
 
 _SWAPPED = {8: (">u8", "<u8"), 4: (">u4", "<u4"), 1: ("|u1", "|u1")}
 
 
 class Layout:
-    """Where the variables of an output recipe lie, in a package and in a row.
+    """Positions of the variables of an output recipe, in a package and in a row.
 
-    Neighbours of one width are swapped to this machine's byte order in one go, so a recipe that
-    is sorted by width costs a few copies, however many variables it has.
+    When packages are converted, the byte order of neighbouring values of equal width is swapped in
+    one operation. A recipe whose variables are sorted by width therefore needs only a few copy
+    operations, whatever the number of variables.
 
     Args:
-        recipe: Number of the recipe, as the controller gave it.
-        names: Variables in order; the first one is `timestamp`.
-        types: Their types as RTDE names them, all of them in `TYPES`.
+        recipe: Number of the recipe, assigned by the controller.
+        names: Names of the variables in order; the first name is `timestamp`.
+        types: RTDE types of the variables; all must be keys of `TYPES`.
 
     Attributes:
-        dtype: Of a row: `host_time` (float64, Unix time [s]) and the variables by name.
-        size: Of a data package [bytes].
-        head: The first four bytes of every data package, as one number.
+        dtype: Data type of a row: `host_time` (float64, Unix time [s]) and the variables by name.
+        size: Size of a data package [bytes].
+        head: First four bytes of every data package, as one integer.
     """
 
     def __init__(self, recipe: int, names: Sequence[str], types: Sequence[str]) -> None:
@@ -898,31 +956,31 @@ class Layout:
         )
 
     def whole_packages(self, data: bytes, begin: int) -> int:
-        """How many data packages of this recipe follow each other in `data` from `begin`."""
+        """Return the number of consecutive data packages of this recipe in `data` from `begin`."""
         count = (len(data) - begin) // self.size
-        if count < 2:  # the usual case at a robot's own pace, without numpy's overhead
+        if count < 2:  # usual at a real robot's rate: avoid the overhead of numpy
             return int(count == 1 and self.is_head(data, begin))
         good = np.frombuffer(data, self._wire, count, begin)["head"] == self.head
         return count if good.all() else int(np.argmin(good))
 
     def is_head(self, data: bytes, begin: int) -> bool:
-        """Return whether a data package of this recipe begins here."""
+        """Return whether a data package of this recipe begins at index `begin` of `data`."""
         return int.from_bytes(data[begin : begin + 4], "big") == self.head
 
     def time(self, package: bytes) -> float:
-        """Timestamp of one whole data package [s]."""
+        """Return the time stamp of one whole data package [s]."""
         return float(_TIME.unpack_from(package, DATA_HEAD.size)[0])
 
     def times(self, packages: bytes) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """(N,) timestamps of whole data packages [s]."""
+        """Return the time stamps of whole data packages, (N,) [s]."""
         return np.frombuffer(packages, self._times)["t"].astype(np.float64)
 
     def rows(self, packages: bytes, host_time: Any) -> StructArray:
-        """Whole data packages as rows.
+        """Convert whole data packages into rows.
 
         Args:
-            packages: One after the other.
-            host_time: When they came, a number or (N,).
+            packages: Concatenated data packages.
+            host_time: Unix time of arrival, a number or (N,) [s].
         """
         seen = np.frombuffer(packages, self._wire)
         out = np.empty(len(seen), self._native)
@@ -933,7 +991,7 @@ class Layout:
 
 
 def _blocks(kinds: Sequence[tuple[str, int]]) -> list[tuple[int, int]]:
-    """(width, count) of the runs of values of one width."""
+    """Return (width, count) of each run of neighbouring values of equal width in bytes."""
     widths = [(np.dtype(code).itemsize, count) for code, count in kinds]
     return [
         (width, sum(count for _, count in group))
@@ -943,12 +1001,13 @@ def _blocks(kinds: Sequence[tuple[str, int]]) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One RTDE output.
+    """RTDE output that is recorded.
 
     Attributes:
-        name, type: As RTDE has them.
-        unit: For the recording; empty for bits, modes and ratios.
-        since: `e` for what no CB3 controller has. Other differences come out when asking.
+        name, type: Name and type of the output in the RTDE guide.
+        unit: Unit in the recording; empty for bits, modes and ratios.
+        since: `e` for outputs that no CB3 controller has, `always` for all other outputs. Other
+            differences between controllers are detected in the handshake.
     """
 
     name: str
@@ -958,7 +1017,7 @@ class Field:
 
 
 REQUIRED = ("timestamp", "actual_q", "actual_qd")
-"""Without these there is nothing to record."""
+"""Outputs without which a recording is impossible."""
 
 FIELDS = (
     Field("timestamp", "DOUBLE", "s"),
@@ -1020,11 +1079,12 @@ FIELDS = (
 
 
 def names_for(major: int) -> tuple[list[str], dict[str, str]]:
-    """Return the outputs to ask a controller for, and those missing anyway with the reason.
+    """Return the outputs to request from a controller, and the unavailable outputs with the reason.
 
     Args:
-        major: Of the controller's software: 3 for CB3, 5 for e-Series, 10 for PolyScope X.
+        major: Major software version of the controller: 3 for CB3, 5 for e-Series, 10 for PolyScope
+            X.
     """
     wanted = [field.name for field in FIELDS if major > 3 or field.since == "always"]
-    why = "no CB3 controller has it"
+    why = "not available on a CB3 controller"
     return wanted, {field.name: why for field in FIELDS if field.name not in wanted}

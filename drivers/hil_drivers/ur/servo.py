@@ -1,15 +1,17 @@
-"""The robot program of a UR arm, led tick by tick: the two threads of the process that moves it.
+"""Threads that execute motions of a UR arm, one step per controller row.
 
-`MotionThread` owns the program (`control.Control`). For every row of the controller it does what
-the row calls for: the next set-point of a segment that is led by `servoj`, a kick for the
-controller's watchdog while a move of the controller's own (`movej`) runs, or a stop. Commands of
-`ur-rtde` may block, for minutes where the network is gone. Therefore `SupervisionThread` sees every
-row whatever the library waits for. It judges silence, the end of the program and whether a stop is
-obeyed; when one of them goes wrong it stops the arm without the library and ends the process. Both
-share a `MotionState`.
+`MotionThread` owns the robot program (`control.Control`). For every row of the controller,
+`MotionThread` takes one action: send the next `servoj` set-point of a segment, reset the
+controller's watchdog during a controller-planned move (`movej`), or stop the arm. Calls of
+`ur-rtde` can block for minutes if the network is down. Therefore `SupervisionThread` receives every
+row independently of the library. `SupervisionThread` checks for silence of the controller, for the
+end of the program, and whether the arm obeys a stop. If a check fails, `SupervisionThread` stops
+the arm without the library and ends the process. `MotionThread` and `SupervisionThread` share a
+`MotionState`.
 
-Of a segment that is led, `SetPointFeed` says which set-point is due, by the robot's clock, and
-`LagWatch` whether the arm follows. `Ramp` is what is known of one stop.
+For a segment executed by `servoj`, `SetPointFeed` computes the set-point that is due by the robot's
+clock, and `LagWatch` checks whether the arm follows. `Ramp` contains the deceleration and the time
+limit of one stop.
 """
 
 from __future__ import annotations
@@ -43,38 +45,42 @@ from hil_drivers.ur.options import MOST_ACCELERATION, MOST_SPEED, RAMP_SLACK_S, 
 from hil_drivers.ur.state import PLAYING, STILL_RAD_S, STOPPED, still
 
 OBEY_WITHIN_S = 0.05
-"""How soon the controller must be seen to obey a stop; the caller has other ways [s]."""
+"""Time limit for the first sign that the controller obeys a stop [s]; if the limit is exceeded,
+the caller stops the arm by a different method."""
 
 LOOK_S = 0.02
 
 SEEN_HZ = 100.0
-"""With fewer rows per second than this nothing shows soon enough whether the arm obeys."""
+"""Minimum rate of rows [Hz] at which the rows show early enough whether the arm obeys a stop."""
 
 FRESH_S = 0.1
-"""A state younger than this is taken for the present one where the arm is to be stopped [s]."""
+"""Maximum age of a row that is used as the present state in a stop [s]."""
 
 AT_GOAL_RAD, LED_TO_RAD = 5e-4, 0.01
-"""Where a move has to end, and where leading has to begin and end at the latest [rad]."""
+"""Tolerances of the largest joint error [rad]: at the end of a move (`AT_GOAL_RAD`), and at the
+start and end of a `servoj` segment (`LED_TO_RAD`)."""
 
 SETTLE_S, ENDING_S = 2.0, 0.2
-"""Device time to get to the last set-point, to be seen where a move ends [s]."""
+"""Device times [s]: for the arm to settle at the last set-point (`SETTLE_S`), and to confirm the
+end of a move (`ENDING_S`)."""
 
 KICKS_PER_PERIOD = 4.0
 
 
 class MotionThread(threading.Thread):
-    """Moves one arm by one robot program.
+    """Thread that moves one arm through one robot program.
 
     Args:
-        control: The program.
-        ticks: Rows of the controller's state, none left out.
-        options: Of the arm.
-        rate_hz: Of rows and set-points.
-        leave: Ends this process when the connection or the program is gone.
+        control: Connection to the robot program.
+        ticks: Source of all rows of the controller's state, without gaps.
+        options: Options of the arm.
+        rate_hz: Rate of rows and of set-points [Hz].
+        leave: Function that ends this process with an exit code, called when the connection or the
+            program is lost.
 
     Attributes:
-        state: Of the motion.
-        alone: The client has died: no other process stops the arm if this thread does not.
+        state: State of the motion.
+        alone: Whether the client process has died, so that only this thread can stop the arm.
     """
 
     def __init__(
@@ -100,7 +106,7 @@ class MotionThread(threading.Thread):
         self.alone = False
 
     def run(self) -> None:
-        """Answer every row until the end."""
+        """Process every new row until the supervision ends."""
         self._supervision.start()
         news = self.state.news
         while not self._supervision.ending.is_set():
@@ -109,10 +115,13 @@ class MotionThread(threading.Thread):
                 self._tick(self.state.newest)
 
     def start_move(self, segment: Segment) -> None:
-        """Let the controller move to a segment's end on a path of its own.
+        """Start a controller-planned move to the end of a segment.
+
+        No move is sent if the arm is already within `AT_GOAL_RAD` of that end.
 
         Raises:
-            CommandRefused: It would never get there, or has not accepted that.
+            CommandRefused: The speed or acceleration of the segment is zero, a segment is running,
+                a stop was requested, or the controller does not accept the move.
         """
         with self._starting():
             row = self.state.newest
@@ -123,7 +132,7 @@ class MotionThread(threading.Thread):
                 return
             if not min(segment.speed, segment.acceleration) > 0.0:
                 raise CommandRefused(
-                    f"segment {segment.index} has a way to go with no speed or no acceleration",
+                    f"segment {segment.index} is a motion with zero speed or zero acceleration",
                     hint="plan it again",
                 )
             speed = min(segment.speed, MOST_SPEED)
@@ -133,15 +142,16 @@ class MotionThread(threading.Thread):
             self.state.turn(Phase.MOVE, out_of=(Phase.STARTING,))
 
     def start_led(self, segment: Segment) -> None:
-        """Lead the arm along a segment's set-points, beginning with the next row.
+        """Start sending the set-points of a segment by `servoj`, beginning with the next row.
 
         Raises:
-            CommandRefused: The arm is not where the segment begins.
+            CommandRefused: The arm is more than `LED_TO_RAD` from the start of the segment, a
+                segment is running, or a stop was requested.
         """
         with self._starting():
             if (far := _off(self.state.newest, segment.q[0])) > LED_TO_RAD:
                 raise CommandRefused(
-                    f"segment {segment.index} begins {far:.4f} rad from where the arm stands",
+                    f"segment {segment.index} begins {far:.4f} rad from the position of the arm",
                     hint="the arm was moved since the plan was made: plan again from here",
                 )
             self._goal = segment.q[-1]
@@ -150,10 +160,10 @@ class MotionThread(threading.Thread):
             self.state.turn(Phase.LED, out_of=(Phase.STARTING,))
 
     def use(self, what: Callable[[Control], object]) -> None:
-        """Do something with the program while the arm stands.
+        """Call a function with the robot program as its argument while the arm is not moving.
 
         Raises:
-            CommandRefused: It moves.
+            CommandRefused: The arm is moving.
         """
         if self.state.phase is not Phase.IDLE:
             raise CommandRefused("the arm is moving", hint="wait until the motion is over")
@@ -161,10 +171,11 @@ class MotionThread(threading.Thread):
             what(self._control)
 
     def stop(self) -> None:
-        """Bring the arm to rest; from any thread.
+        """Stop the arm; callable from any thread.
 
         Raises:
-            RobotTimeout: The arm was not seen to obey in time; tell the controller directly.
+            RobotTimeout: The rows did not show within `OBEY_WITHIN_S` that the arm obeys; the
+                caller must stop the arm through the controller directly.
         """
         state = self.state
         state.stop_asked.set()
@@ -174,15 +185,17 @@ class MotionThread(threading.Thread):
         if self.alone:
             self._supervision.leave(
                 RobotFault(
-                    "nobody is there, and the program does not stop the arm",
+                    "the client process has died, and the program does not stop the arm",
                     hint="press the emergency stop if the arm moves, then connect again",
                 )
             )
             return
-        raise RobotTimeout("the program does not stop the arm in time", hint="stop it directly")
+        raise RobotTimeout(
+            "the program does not stop the arm in time", hint="stop the arm directly"
+        )
 
     def end(self) -> None:
-        """Bring both threads to their end."""
+        """End the motion thread and the supervision thread."""
         self._supervision.ending.set()
         for thread in (self, self._supervision):
             if thread.is_alive() and thread is not threading.current_thread():
@@ -192,11 +205,14 @@ class MotionThread(threading.Thread):
     def _starting(self) -> Iterator[None]:
         state = self.state
         if not state.turn(Phase.STARTING, out_of=(Phase.IDLE,)):
-            raise CommandRefused("a segment is still running", hint="read until it is over")
+            raise CommandRefused("a segment is still running", hint="read until the segment ends")
         try:
-            # After the phase was set: a stop that comes now either is seen here, or sees that.
+            # Check after setting the phase: a concurrent stop is either detected here or sees the
+            # phase.
             if state.stop_asked.is_set():
-                raise CommandRefused("stopped before it was started", hint="prepare it again")
+                raise CommandRefused(
+                    "the segment was stopped before its start", hint="prepare it again"
+                )
             with self._using:
                 state.begun = float(state.newest["timestamp"])
                 yield
@@ -208,7 +224,7 @@ class MotionThread(threading.Thread):
 
     def _tick(self, row: np.void) -> None:
         if not self._using.acquire(blocking=False):
-            return  # another thread is commanding something, which is as good as a kick
+            return  # another thread sends a command, which also resets the watchdog
         try:
             self._act(row)
         except HilError as error:
@@ -219,7 +235,7 @@ class MotionThread(threading.Thread):
             self._using.release()
 
     def _act(self, row: np.void) -> None:
-        """React to a row."""
+        """Take the action that a row requires in the present phase."""
         state = self.state
         if state.stop_asked.is_set() and state.under_way:
             self._brake(row)
@@ -236,10 +252,10 @@ class MotionThread(threading.Thread):
                 self._settle(row)
 
     def _lead(self, row: np.void) -> None:
-        """Command the set-point that is due in answer to a row.
+        """Send the set-point that is due at the time of a row.
 
         Raises:
-            RobotFault: We are too late, or the arm does not follow.
+            RobotFault: The set-points are later than allowed, or the arm does not follow them.
         """
         now, options = float(row["timestamp"]), self._options
         q = self._feed.due(now)
@@ -247,16 +263,16 @@ class MotionThread(threading.Thread):
             raise RobotFault(
                 f"set-points were {self._feed.late_s:.3f} s late at device time {now:.3f} s, "
                 f"{options.late_s:g} s are allowed",
-                hint="give the computer less to do, or the arm's station a larger late_s",
+                hint="end other programs on this computer, or set a larger late_s in the station",
             )
         self._lag.note(now, q)
         if self._lag.lost(row["target_q"]):
             off = self._lag.off(row["target_q"])
             joint = int(off.argmax())
             raise RobotFault(
-                f"joint {joint + 1} is led {off[joint]:.4f} rad beside the path at device "
+                f"joint {joint + 1} is {off[joint]:.4f} rad off the path at device "
                 f"time {now:.3f} s, {options.lag_rad:g} rad are allowed",
-                hint="is the speed slider at 100 %? else raise gain, or lag_s and lag_rad",
+                hint="set the speed slider to 100 %, or raise gain, or lag_s and lag_rad",
             )
         self._control.servo_j(q.tolist(), options.lookahead_s, options.gain)
         if self._feed.over:
@@ -281,16 +297,19 @@ class MotionThread(threading.Thread):
         if far < AT_GOAL_RAD:
             self.state.rest()
             return
-        # Operation and row come by two connections: the row may be from before the move.
+        # Operation and row use two connections: the row is possibly older than the move.
         self._until = min(self._until, now + ENDING_S)
         if now > self._until:
             self.state.rest()
             raise _ended_elsewhere(far)
 
     def _brake(self, row: np.void) -> None:
-        """End a motion and return once the arm is at rest, which supervision decides."""
+        """Command a stop; the call returns when the arm is at rest.
+
+        The supervision thread decides whether the arm is at rest.
+        """
         if time.monotonic() - self.state.heard > FRESH_S:
-            return  # the line is silent: supervision takes another way
+            return  # the controller is silent: supervision stops the arm directly
         begun = self.state.brake(row)
         if begun is None:
             return
@@ -304,7 +323,10 @@ class MotionThread(threading.Thread):
         ramp.answered = True
 
     def _fail(self, error: HilError) -> None:
-        """End a motion that does not go as it should; where the library does not, the session."""
+        """Handle an error: stop the motion after a `RobotFault`, else end the session.
+
+        The session also ends if the library fails to stop the motion.
+        """
         state = self.state
         if not isinstance(error, RobotFault):
             self._supervision.leave(error)
@@ -317,43 +339,46 @@ class MotionThread(threading.Thread):
 
 
 def _off(row: np.void, goal: FloatArray) -> float:
-    """Return how far the controller's set-point is from `goal` (n,), by the furthest joint."""
+    """Return the largest distance of a joint set-point of the controller from `goal` (n,) [rad]."""
     return float(np.abs(row["target_q"] - goal).max())
 
 
 def _ended_elsewhere(far: float) -> RobotFault:
     return RobotFault(
         f"the motion ended {far:.4f} rad from its goal",
-        hint="was it stopped at the teach pendant? connect again, and resume",
+        hint="see the teach pendant for a stop, then connect again and resume",
     )
 
 
 JUMP_S = 0.04
-"""Lateness that is made up for at once: `servoj` smooths over more than that [s]."""
+"""Delay [s] up to which the set-point feed catches up in one step, because `servoj` smooths a
+step of this size."""
 
 CATCH_UP = 1.25
-"""Set-points per tick at most where we are later than that: gently, not by a jump."""
+"""Maximum number of set-points per tick if the delay of the feed exceeds `JUMP_S`; a larger step
+would make the arm jump."""
 
 TINY = 1e-6
-"""Of a set-point: what time stamps lose by rounding."""
+"""Tolerance of the index of a set-point, for rounding errors of the time stamps."""
 
 
 class SetPointFeed:
-    """The set-points of one segment, paced by the robot's own time stamps.
+    """Set-points of one segment, paced by the robot's time stamps.
 
-    Ticks that were missed let the arm stand still on its last set-point. After a few it is where
-    it ought to be with the next one; after more it goes on from where it stands, at most a quarter
-    faster than planned, also where only every few ticks are answered. A robot that lives ten times
-    as fast, or a host that is late, thus gets the same path.
+    While ticks are missed, the arm remains at its last set-point. If the delay is at most `JUMP_S`,
+    the next set-point is again on schedule. After a longer delay the feed continues from its
+    present position, at most 25 % faster than planned. This limit also applies if the feed is
+    called only every few ticks. The path is therefore the same in a simulation at ten times real
+    time and on a slow host.
 
     Args:
         q: (N, n) set-points [rad].
         rate_hz: Set-points per second of device time.
-        begun: Device time at which the first one is commanded [s].
+        begun: Device time of the first set-point [s].
 
     Attributes:
-        place: Index, also between two set-points, of what was commanded last.
-        late_s: How far `place` is behind the schedule [s].
+        place: Index of the last commanded set-point; fractional between two set-points.
+        late_s: Delay of `place` behind the schedule [s].
     """
 
     def __init__(self, q: FloatArray, rate_hz: float, begun: float) -> None:
@@ -370,7 +395,7 @@ class SetPointFeed:
         return self.place >= len(self._q) - 1 - TINY
 
     def due(self, device_time: float) -> FloatArray:
-        """Return (n,) the set-point for the robot's present time [rad]."""
+        """Return the set-point (n,) for the present device time [rad]."""
         schedule = min((device_time - self._begun) * self._rate_hz, len(self._q) - 1.0)
         behind = max(schedule - self.place, 0.0)
         ticks = (device_time - self._last_tick) * self._rate_hz
@@ -386,15 +411,16 @@ class SetPointFeed:
 
 
 class LagWatch:
-    """Compares the controller's target with the set-points commanded lately.
+    """Comparison of the controller's target with recently commanded set-points.
 
-    `servoj` smooths and follows late, so a plain difference grows with speed. What has to hold at
-    any speed: every joint's target lies between the least and the most it was commanded within the
-    last `lag_s`, give or take `lag_rad`.
+    `servoj` smooths and delays the motion, so the plain difference between target and set-point
+    grows with speed. `LagWatch` uses a criterion that is independent of speed: the target of every
+    joint must lie between the minimum and maximum of its set-points in the last `lag_s`, with a
+    tolerance of `lag_rad`.
 
     Args:
-        lag_s: How late the target may be [s of device time].
-        lag_rad: How far beside the commanded range it may be [rad].
+        lag_s: Maximum delay of the target behind the set-points [s of device time].
+        lag_rad: Maximum distance of the target from the commanded range [rad].
     """
 
     def __init__(self, lag_s: float, lag_rad: float) -> None:
@@ -402,14 +428,14 @@ class LagWatch:
         self._commanded: deque[tuple[float, FloatArray]] = deque()
 
     def note(self, device_time: float, q: FloatArray) -> None:
-        """Note a set-point (n,) that was commanded."""
+        """Record a set-point (n,) that was commanded."""
         self._commanded.append((device_time, q))
-        # One older than the window stays: it is what was held when the window began.
+        # Keep one older set-point: it was the commanded position at the start of the window.
         while len(self._commanded) > 1 and self._commanded[1][0] < device_time - self._lag_s:
             self._commanded.popleft()
 
     def off(self, target: FloatArray) -> FloatArray:
-        """(n,) how far the controller's target is outside the range it was commanded [rad]."""
+        """Return the distance (n,) of the controller's target from the commanded range [rad]."""
         commanded = np.array([q for _, q in self._commanded])
         if not len(commanded):
             return np.zeros_like(target)
@@ -417,7 +443,7 @@ class LagWatch:
         return np.asarray(np.maximum(np.maximum(under, over), 0.0))
 
     def lost(self, target: FloatArray) -> bool:
-        """Whether the arm does not follow."""
+        """Return whether the controller's target is outside the tolerance of the set-points."""
         return bool(self.off(target).max() > self._lag_rad)
 
 
@@ -427,34 +453,34 @@ class Phase(Enum):
     IDLE = auto()
     STARTING = auto()
     MOVE = auto()
-    """The controller executes a move of its own."""
+    """Phase in which the controller executes a move that the controller has planned."""
     LED = auto()
-    """It is given a set-point per tick."""
+    """Phase in which the thread sends one set-point per tick."""
     SETTLING = auto()
-    """The last set-point was given; it is still on its way there."""
+    """Phase after the last set-point, until the arm has settled at this set-point."""
     BRAKING = auto()
 
 
 UNDER_WAY = (Phase.MOVE, Phase.LED, Phase.SETTLING)
-"""Phases that a stop ends."""
+"""Phases that a stop request ends."""
 
 
 class MotionState:
-    """Phase of the arm, shared by both threads; one of them at a time may change it.
+    """State of the motion, shared by both threads; a lock protects changes of the phase.
 
     Args:
-        newest: The newest row.
-        options: Of the arm.
+        newest: Newest row of the controller.
+        options: Options of the arm from the station file.
 
     Attributes:
-        newest, heard: The newest row, and when it came [s, monotonic].
-        phase: What the arm is doing.
+        newest, heard: Newest row and its time of arrival [s, monotonic].
+        phase: Present phase of the motion.
         begun: Device time at which the newest motion began [s].
-        failure: What ended it, reported once.
-        ramp: The newest stop.
-        stop_asked: Whether a stop was asked for since the newest segment was prepared.
-        stop_obeyed: Whether the controller was seen to obey it.
-        news: There is a new row, or a stop to be made.
+        failure: Error that ended the motion; only one call reports the error to the client.
+        ramp: Ramp of the newest stop.
+        stop_asked: Event that is set if a stop was requested since the newest segment was prepared.
+        stop_obeyed: Event that is set if the rows have shown that the controller obeys the stop.
+        news: Event that is set if there is a new row or a new stop request.
     """
 
     def __init__(self, newest: np.void, options: Options) -> None:
@@ -473,12 +499,12 @@ class MotionState:
         return self.phase in UNDER_WAY
 
     def clear(self) -> None:
-        """A new segment is about to be started: stops that came before are done with."""
+        """Clear earlier stop requests before a new segment is started."""
         self.stop_asked.clear()
         self.stop_obeyed.clear()
 
     def turn(self, to: Phase, *, out_of: tuple[Phase, ...]) -> bool:
-        """Go over to another phase, unless another thread was faster."""
+        """Change to phase `to` if the present phase is in `out_of`; return whether it changed."""
         with self._turning:
             if self.phase not in out_of:
                 return False
@@ -486,13 +512,13 @@ class MotionState:
             return True
 
     def rest(self) -> None:
-        """Note that the arm is at rest, which ends a stop."""
+        """Set the phase to idle because the arm is at rest, and mark a stop as obeyed."""
         with self._turning:
             self.phase = Phase.IDLE
         self.stop_obeyed.set()
 
     def brake(self, row: np.void) -> tuple[Ramp, bool] | None:
-        """Begin a stop; returns its ramp and whether the arm was led, None where nothing moves."""
+        """Begin a stop; return its ramp and whether `servoj` moves the arm, or None at rest."""
         with self._turning:
             if self.phase not in UNDER_WAY:
                 return None
@@ -502,33 +528,35 @@ class MotionState:
             return self.ramp, led
 
     def fail(self, error: HilError) -> None:
-        """Note an error; the first one counts."""
+        """Record an error; only the first error is retained."""
         self.failure = self.failure or error
 
 
 RAMP_GRACE_S = 0.3
-"""Device time to be seen standing after the time of a ramp [s]."""
+"""Device time [s] allowed after the end of a ramp until the rows show the arm at rest."""
 
 HARDEST_M_S2 = 150.0
-"""UR's own limit of a deceleration at the tool [m/s²]."""
+"""Maximum tool deceleration that UR allows [m/s²]."""
 
 
 class Ramp:
-    """One stop, from the request until the arm is at rest.
+    """Deceleration and time limit of one stop, from the request until the arm is at rest.
 
-    The watchdog cannot be fed while the controller executes a stop: `ur-rtde` keeps the command
-    in the register that counts as food, and writing there would take it back. So a ramp has to
-    be over before the watchdog bites. `options_of` sees to that for moves; how fast the tool goes
-    is not known before, so leading is stopped harder where the time would not do.
+    The watchdog cannot be reset while the controller executes a stop. `ur-rtde` stores the stop
+    command in the register that also resets the watchdog, and writing this register would cancel
+    the stop. A ramp must therefore end before the watchdog expires. `options_of` checks the
+    duration of the ramp for `movej`. For `servoj` the tool speed is not known in advance, so the
+    deceleration is increased if a stop with the configured value would take too long.
 
     Args:
-        row: The newest one.
-        options: Of the arm.
-        led: Whether the arm was led along, which ends by decelerating the tool, not the joints.
+        row: Newest row.
+        options: Options of the arm.
+        led: Whether the arm is moved by `servoj`, which decelerates the tool instead of the joints.
 
     Attributes:
-        deceleration: To be asked for [rad/s² of the fastest joint; where led, m/s² of the tool].
-        answered: Whether the program has answered that the stop was made.
+        deceleration: Requested deceleration [rad/s² of the fastest joint; m/s² of the tool if
+            `led`].
+        answered: Whether the program has confirmed the stop.
     """
 
     def __init__(self, row: np.void, options: Options, *, led: bool) -> None:
@@ -544,17 +572,23 @@ class Ramp:
         self.answered = False
 
     def falls(self, row: np.void) -> bool:
-        """Whether the controller commands less speed than before: it has begun to stop."""
+        """Return whether the commanded speed has decreased: the controller has begun to stop."""
         fastest = _fastest(row)
         self._most = max(self._most, fastest)
         return fastest < self._most - STILL_RAD_S
 
     def stands(self, row: np.void) -> bool:
-        """Return whether the arm has come to rest, and has not merely not begun to move."""
+        """Return whether the arm is at rest after the program has confirmed the stop.
+
+        Without the confirmation, an arm that has not begun to move would also count as at rest.
+        """
         return self.answered and still(row)
 
     def overdue(self, row: np.void) -> bool:
-        """Return, once, whether the arm should be at rest by now and is not."""
+        """Return whether the arm is not at rest after the time limit.
+
+        The method returns true at most once per stop.
+        """
         if float(row["timestamp"]) <= self._until:
             return False
         self._until = np.inf
@@ -562,59 +596,63 @@ class Ramp:
 
 
 def _tool_speed(row: np.void) -> float:
-    """As commanded; the larger of its translation [m/s] and its turning [rad/s]."""
+    """Return the commanded tool speed: maximum of translation [m/s] and rotation [rad/s]."""
     if "target_TCP_speed" in (row.dtype.names or ()):
         twist = row["target_TCP_speed"]
         return float(max(np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])))
-    # No tool turns faster than all joints together.
+    # The rotation speed of the tool is at most the sum of all joint speeds.
     return float(np.abs(row["target_qd"]).sum())
 
 
 def _fastest(row: np.void) -> float:
-    """Of the joints, as commanded [rad/s]."""
+    """Return the largest commanded joint speed [rad/s]."""
     return float(np.abs(row["target_qd"]).max())
 
 
 SILENT_S = 1.5
-"""Without a word for so long the session is over. After 2.5 s `ur-rtde` would connect again by
-itself, and upload its program, whatever the arm was doing [s]."""
+"""Silence of the controller after which the session ends [s].
+
+After 2.5 s `ur-rtde` would reconnect by itself and upload its program, regardless of the motion of
+the arm.
+"""
 
 DOZE_S = 0.05
-"""A look that takes longer was held up by this computer: nothing is known of the controller [s]."""
+"""Duration of a wait for rows [s] above which this computer itself was delayed, so that the
+silence does not prove a failure of the controller."""
 
 LOST_EXIT, STALE_EXIT = 3, 4
-"""Exit codes of a process that has lost its controller, or its program there; and of one that has
-stopped the arm because nothing was heard of the controller."""
+"""Exit codes of the motion process: the first for a lost controller or robot program, the second
+for a stop of the arm because the controller was silent."""
 
 SILENCE_HINT = "check the network between this computer and the controller, then connect again"
 
 
 class Ticks(Protocol):
-    """Where the controller's samples come from: RTDE rows with the names of RTDE's variables."""
+    """Source of the controller's rows, with RTDE variable names as field names."""
 
     @property
     def age_s(self) -> float:
         """Time since the controller's clock last advanced [s]."""
 
     def take(self, timeout_s: float) -> StructArray:
-        """All rows since the last call, at least one; raises `RobotTimeout`."""
+        """Return all rows since the last call; raise `RobotTimeout` if there is no row."""
 
 
 class SupervisionThread(threading.Thread):
-    """Supervises silence, the end of the program, and stops.
+    """Thread that checks for silence of the controller, for the end of the program, and for stops.
 
-    `ur-rtde` connects again by itself as soon as its own connection ends: it stops the program,
-    uploads it once more without a watchdog, and repeats the command it was about to give. From
-    here that looks like a program that ends, a command that fails, or like nothing at all but a
-    connection that is another one. Whatever it is, this process goes before anything more can be
-    commanded; to go on, the client connects again.
+    `ur-rtde` reconnects by itself as soon as its connection ends: it stops the program, uploads the
+    program again without a watchdog, and repeats the pending command. To the motion process, a
+    reconnection looks like a program end, a failed command, or only a different connection. The
+    motion process therefore exits before another command can be sent, and the client must connect
+    again.
 
     Args:
-        ticks: Rows of the controller's state, none left out.
-        state: What the arm is doing.
-        options: Of the arm.
-        exit_: Ends this process, with an exit code.
-        connected: Whether `ur-rtde` has its first connection still.
+        ticks: Source of all rows of the controller's state, without gaps.
+        state: State of the motion.
+        options: Options of the arm.
+        exit_: Function that ends this process with an exit code.
+        connected: Function that returns whether `ur-rtde` still has its first connection.
     """
 
     def __init__(
@@ -634,7 +672,7 @@ class SupervisionThread(threading.Thread):
         self.ending = threading.Event()
 
     def run(self) -> None:
-        """Look at every row until the end."""
+        """Check every row until the end of the session."""
         while not self.ending.is_set():
             self._looked = time.monotonic()
             try:
@@ -652,8 +690,8 @@ class SupervisionThread(threading.Thread):
         state = self._state
         if not self._connected():
             return self._cut_off()
-        # A repeated state is no news: a controller that hangs is silent, and gets no set-point that
-        # might come in after the stop.
+        # A repeated state does not count as new: a hanging controller counts as silent and gets no
+        # set-point that it might execute after the stop.
         news = rows[-1]["timestamp"] != state.newest["timestamp"]
         state.newest, state.heard = rows[-1], time.monotonic() - self._ticks.age_s
         ended = rows["runtime_state"] != PLAYING
@@ -679,14 +717,18 @@ class SupervisionThread(threading.Thread):
         elif ramp.overdue(newest):
             self.leave(
                 RobotFault(
-                    "the arm has not come to rest in the time of its stop: it was stopped directly",
-                    hint="see to the robot itself, then connect again",
+                    "the arm did not reach standstill in its stop time: it was stopped directly",
+                    hint="check the robot, then connect again",
                 )
             )
 
     def _silent(self) -> None:
-        """Nothing comes: `ur-rtde` would wait for an answer, for minutes if need be."""
-        # After a look that was held up, rows may wait to be taken: that is not believed twice.
+        """End the session if the controller has been silent for too long.
+
+        Without this check, `ur-rtde` would wait for an answer of the controller, possibly for
+        minutes.
+        """
+        # After a delay of this computer, rows are possibly still queued: ignore one such silence.
         held_up = time.monotonic() - self._looked > DOZE_S
         self._dozed = held_up and not self._dozed
         if self._dozed:
@@ -696,34 +738,39 @@ class SupervisionThread(threading.Thread):
         if not self._connected():
             return self._cut_off()
         if self._ticks.age_s > SILENT_S:
-            return self._lost(f"the controller has not said anything for {for_s:.1f} s")
+            return self._lost(f"the controller has sent nothing for {for_s:.1f} s")
         allowed_s = FRESH_S if state.stop_asked.is_set() else self._options.late_s
         if state.under_way and for_s > allowed_s:
             self.leave(
                 StaleState(
-                    f"the controller has not said anything for {for_s:.2f} s while the arm was "
-                    "moving",
+                    f"the controller has sent nothing for {for_s:.2f} s while the arm was moving",
                     hint=SILENCE_HINT,
                 )
             )
 
     def _program_ended(self, row: np.void) -> None:
-        """Give up after the program has ended; a paused one would go on with its old move."""
+        """End the session after the robot program has ended; a paused program is ended too.
+
+        A paused program would otherwise resume its old move.
+        """
         at = f"at device time {float(row['timestamp']):.3f} s"
         self.leave(
             RobotFault(
                 f"the robot program ended {at}",
                 hint="look for a stop or a message at the teach pendant, connect again; `hil "
-                "resume` goes on at the last checkpoint",
+                "resume` continues at the last checkpoint",
             ),
             paused=int(row["runtime_state"]) != STOPPED,
         )
 
     def _cut_off(self) -> None:
-        """The program is not led any more; one that was uploaded anew has no watchdog."""
+        """End the session because `ur-rtde` has lost its first connection.
+
+        If `ur-rtde` has uploaded the program again, that program has no watchdog.
+        """
         self.leave(
             RobotConnectionError(
-                "connection lost: ur-rtde's own has ended",
+                "connection lost: the connection of ur-rtde has ended",
                 hint="check the network, then connect again",
             ),
             paused=True,
@@ -737,11 +784,13 @@ class SupervisionThread(threading.Thread):
         )
 
     def leave(self, error: HilError, *, paused: bool = False) -> None:
-        """Stop the arm without `ur-rtde`, and leave before that does anything more; once.
+        """Stop the arm without `ur-rtde`, print the error and end the process.
+
+        Only the first call of this method has an effect.
 
         Args:
-            error: Why; the last word of this process.
-            paused: Whether the program may go on without us, and must be ended.
+            error: Reason, which is printed to standard error.
+            paused: Whether the robot program is possibly still active and must be stopped.
         """
         with self._leaving:
             if self.ending.is_set():

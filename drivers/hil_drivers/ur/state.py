@@ -1,12 +1,12 @@
-"""The state of a UR arm in its RTDE rows: as records, and as reasons why it cannot be moved.
+"""Conversion of the RTDE rows of a UR arm into records and into reasons why the arm cannot move.
 
-Raw rows (`rtde.Receiver.take`) become rows of the base robot record (`state_rows`); everything else
-that they hold becomes a topic of its own (`further_topic`). docs/reference/ur-driver-fields.md
-lists which RTDE output becomes which field.
+`state_rows` converts raw rows (`rtde.Receiver.take`) into rows of the base robot record.
+`further_rows` converts the remaining outputs into rows of a separate topic (`further_topic`).
+docs/reference/ur-driver-fields.md lists which RTDE output becomes which field.
 
-`complaints`, `occupied` and `speed_complaint` name what keeps an arm from moving, in the maker's
-words and with what to do; `first_fault` finds the first row that shows an arm which does not obey.
-Source: Universal Robots, user manuals (safety modes, robot modes) and RTDE guide.
+`complaints`, `occupied` and `speed_complaint` return the conditions that prevent a motion, in the
+manufacturer's terms and with a remedy. `first_fault` detects the first row in which the arm does
+not obey. Source: Universal Robots, user manuals (safety modes, robot modes) and RTDE guide.
 """
 
 from __future__ import annotations
@@ -28,25 +28,32 @@ EFFORTS: Mapping[str, tuple[str, str]] = {
     "current-as-torque": ("actual_current_as_torque", "target_moment"),
     "target-moment": ("target_moment", "target_moment"),
 }
-"""Torque source → RTDE outputs that become `effort` and `effort_target`."""
+"""Map from torque source to the two RTDE outputs that become `effort` and `effort_target`."""
 
 TOPIC = "/robot/ur"
 N_JOINTS = 6
 
 RUNNING = 7
-"""`robot_mode` in which the servo holds the arm: in all others, currents mean nothing."""
+"""Value of `robot_mode` in which the servo controls the arm; in all other modes, motor currents
+are meaningless.
+"""
 
 HARMLESS = (1, 2)
-"""`safety_mode` normal and reduced."""
+"""Values of `safety_mode` that permit motion: normal (1) and reduced (2)."""
 
 STOPPING, STOPPED, PLAYING, PAUSING, PAUSED = range(5)
-"""`runtime_state`: the first two without a program; 5 is resuming."""
+"""Values of `runtime_state`; no program plays in states 0 (stopping) and 1 (stopped), and the
+value 5 is resuming."""
 
 STILL_RAD_S = 1e-3
-"""A commanded speed below this is none [rad/s]; the controller's own ramps end at 0."""
+"""Commanded joint speed below which the arm counts as at rest [rad/s]; the controller's ramps
+end at 0.
+"""
 
 AT_REST_RAD_S = 1e-6
-"""The same where rows are recorded: a set-point of a slow trajectory counts as motion [rad/s]."""
+"""Joint speed below which a recorded row counts as at rest [rad/s]; a slow trajectory counts as
+motion.
+"""
 
 _RENAMED = {
     "q": "actual_q",
@@ -56,17 +63,19 @@ _RENAMED = {
     "qd_target": "target_qd",
     "qdd_target": "target_qdd",
 }
-"""Field of the base record ← RTDE output."""
+"""Map from a field of the base record to the RTDE output with its value."""
 
 _ELSEWHERE = {"timestamp", *_RENAMED.values()}
 _FURTHER = tuple(field for field in FIELDS if field.name not in _ELSEWHERE)
 
 
 def further_topic(rate_hz: float) -> Topic:
-    """Return the topic of RTDE outputs beyond the base record; the same for all controllers.
+    """Return the topic of the RTDE outputs beyond the base record.
+
+    The topic is equal for all controllers.
 
     Args:
-        rate_hz: States per second [Hz].
+        rate_hz: Number of states per second.
     """
     fields: list[Any] = [("device_time", "<f8"), ("host_time", "<f8")]
     for field in _FURTHER:
@@ -85,19 +94,19 @@ def further_topic(rate_hz: float) -> Topic:
 
 
 def ros_name(name: str) -> str:
-    """The name of an RTDE output as a ROS 2 field: `actual_TCP_pose` → `actual_tcp_pose`."""
+    """Return the name of an RTDE output as a ROS 2 field: `actual_TCP_pose` → `actual_tcp_pose`."""
     return name.lower()
 
 
 def require_source(source: TorqueSource, missing: Mapping[str, str]) -> None:
-    """Refuse a torque source that the controller does not send.
+    """Raise if the controller does not send the RTDE output of a torque source.
 
     Args:
-        source: What `effort` is to be.
-        missing: `Receiver.missing`.
+        source: Source of the field `effort`.
+        missing: Outputs that the controller does not send, with the reason: `Receiver.missing`.
 
     Raises:
-        SpecError: It is missing.
+        SpecError: `missing` contains the RTDE output of the torque source.
     """
     output = EFFORTS[source][0]
     if output in missing:
@@ -109,11 +118,11 @@ def require_source(source: TorqueSource, missing: Mapping[str, str]) -> None:
 
 
 def state_rows(raw: StructArray, source: TorqueSource = "current") -> StructArray:
-    """Rows of `Receiver.take` as the base robot record; `segment` is −1.
+    """Convert raw rows of `Receiver.take` into the base robot record; the field `segment` is −1.
 
     Args:
-        raw: (N,) rows; outputs that are missing become NaN.
-        source: Which RTDE output is the effort.
+        raw: (N,) raw rows; missing outputs become NaN.
+        source: Torque source, which selects the RTDE output for `effort`.
     """
     rows = np.zeros(len(raw), state_dtype(N_JOINTS))
     rows["device_time"], rows["host_time"] = raw["timestamp"], raw["host_time"]
@@ -126,12 +135,12 @@ def state_rows(raw: StructArray, source: TorqueSource = "current") -> StructArra
     faulty = ~np.isin(safety, HARMLESS)
     rows["fault_code"] = np.where(faulty, safety, 0)
     rows["mode"] = mode
-    # By the commanded velocity; by the measured one where the controller does not send it.
+    # Use the commanded velocity; use the measured one if the controller does not send it.
     speed: FloatArray = raw["target_qd" if "target_qd" in _names(raw) else "actual_qd"]
     at_rest = (np.abs(speed) < AT_REST_RAD_S).all(axis=1)
     status = np.where(at_rest, int(Status.HOLDING), int(Status.MOVING))
     status |= np.where(faulty, int(Status.FAULT), 0)
-    # Without servo (brakes, freedrive, power off) and in a stop, the currents are no measurement.
+    # Without servo (brakes, freedrive, power off) and in a stop, the currents are invalid.
     rows["status"] = status | np.where(faulty | (mode != RUNNING), int(Status.MASKED), 0)
     return rows
 
@@ -141,9 +150,9 @@ def _names(raw: StructArray) -> Sequence[str]:
 
 
 def further_rows(raw: StructArray, topic: Topic) -> StructArray:
-    """Rows of `Receiver.take` as rows of `further_topic`.
+    """Convert raw rows of `Receiver.take` into rows of `further_topic`.
 
-    What the controller does not send is NaN; of integers, all bits are set (−1).
+    An output that the controller does not send becomes NaN, or an integer with all bits set (−1).
     """
     rows = topic.blank(len(raw))
     rows["device_time"], rows["host_time"] = raw["timestamp"], raw["host_time"]
@@ -158,24 +167,27 @@ def further_rows(raw: StructArray, topic: Topic) -> StructArray:
 
 
 def program_running(raw: StructArray) -> BoolArray:
-    """Return (N,) whether a program plays or is paused; false where the controller lacks that."""
+    """Return for each raw row whether a program plays or is paused, (N,).
+
+    The returned values are false if the controller does not send `runtime_state`.
+    """
     return np.asarray(~np.isin(program_state(raw), (STOPPING, STOPPED)))
 
 
 def program_state(raw: StructArray) -> IntArray:
-    """Return (N,) `runtime_state`; stopped where the controller lacks that."""
+    """Return `runtime_state` of each row, (N,); `STOPPED` if the controller does not send it."""
     return integers(raw, "runtime_state", STOPPED)
 
 
 def integers(raw: StructArray, name: str, default: int) -> IntArray:
-    """(N,) an output that is a whole number, `default` where the controller does not send it."""
+    """Return an integer output of each row, (N,); `default` if the controller does not send it."""
     if name not in _names(raw):
         return np.full(len(raw), default, np.int64)
     return np.asarray(raw[name].astype(np.int64))
 
 
 def still(row: np.void) -> bool:
-    """Whether the controller commands no speed."""
+    """Return whether every commanded joint speed of a raw row is below `STILL_RAD_S`."""
     return bool(np.abs(row["target_qd"]).max() < STILL_RAD_S)
 
 
@@ -210,7 +222,8 @@ SAFETY: dict[int, tuple[str, str]] = {
     ),
     13: ("the three-position switch", "hold it in its middle position, or leave manual mode"),
 }
-"""`safety_mode` → what it is, what to do. 1 is normal, 2 reduced."""
+"""Map from value of `safety_mode` to description and remedy, without the values 1 (normal) and 2
+(reduced)."""
 
 MODES: dict[int, tuple[str, str]] = {
     -1: ("no controller", "restart the controller"),
@@ -223,7 +236,7 @@ MODES: dict[int, tuple[str, str]] = {
     6: ("moved by hand", "end freedrive at the teach pendant"),
     8: ("updating its firmware", "wait until it has started"),
 }
-"""`robot_mode` → what it is, what to do. 7 is running."""
+"""Map from value of `robot_mode` to description and remedy, without the value 7 (running)."""
 
 MODE_NAMES = {
     -1: "NO_CONTROLLER", 0: "DISCONNECTED", 1: "CONFIRM_SAFETY", 2: "BOOTING", 3: "POWER_OFF",
@@ -232,7 +245,7 @@ MODE_NAMES = {
 SAFETY_NAMES = {1: "NORMAL", 2: "REDUCED", 3: "PROTECTIVE_STOP", 4: "RECOVERY"}
 
 EMERGENCY = (6, 7)
-"""Safety modes that switch the arm off: the remedy of the one is that of the other."""
+"""Safety modes that switch the arm off; the remedy is the same for the two modes."""
 
 RUNTIME = {0: "stopping", 1: "stopped", 2: "playing", 3: "pausing", 4: "paused", 5: "resuming"}
 FULL_SPEED = 0.99
@@ -240,7 +253,7 @@ SLIDER = "target_speed_fraction"
 
 
 def complaints(row: np.void) -> list[tuple[str, str]]:
-    """Return what keeps an arm from moving, by one raw RTDE row; each with its remedy."""
+    """Return the modes in a raw RTDE row that prevent a motion, each with its remedy."""
     problems = []
     safety, mode = _number(row, "safety_mode", 1), _number(row, "robot_mode", RUNNING)
     if safety not in HARMLESS:
@@ -265,7 +278,7 @@ def slider_of(raw: StructArray | np.void) -> float:
 
 
 def speed_complaint(row: np.void) -> list[tuple[str, str]]:
-    """A speed slider that is not at its end makes every motion another one than planned."""
+    """Return the problem of a speed slider below 100 %, which would change every planned motion."""
     share = slider_of(row)
     if not share < FULL_SPEED:
         return []
@@ -273,31 +286,33 @@ def speed_complaint(row: np.void) -> list[tuple[str, str]]:
 
 
 def occupied(row: np.void) -> list[tuple[str, str]]:
-    """Return what another client does with an arm, by one raw row; each with its remedy."""
+    """Return the actions of other clients in a raw row that block the arm, with remedies."""
     problems = []
     state = _number(row, "runtime_state", STOPPED)
     if state == STOPPING:
-        problems.append(("a program is about to end", "wait until it has"))
+        problems.append(("a program is about to end", "wait until it has ended"))
     elif state != STOPPED:
         what = "a program is paused" if state in (PAUSING, PAUSED) else "a program is running"
-        problems.append((what, "stop it at the teach pendant, or whoever else drives the arm"))
+        problems.append((what, "stop it at the teach pendant, or end the other client"))
     speed = float(np.abs(row["target_qd"]).max()) if _has(row, "target_qd") else 0.0
     if speed > STILL_RAD_S:
-        problems.append((f"the arm is moving at {speed:.3f} rad/s", "wait until it stands still"))
+        problems.append(
+            (f"the arm is moving at {speed:.3f} rad/s", "wait until it is at standstill")
+        )
     return problems
 
 
 def first_fault(raw: StructArray, *, program: bool) -> RobotFault | None:
-    """The first fault in a block, were it over at its end or not.
+    """Return the first fault in a block of raw rows, even if the fault is over at the end.
 
     Args:
         raw: (N,) raw RTDE rows.
-        program: Whether our robot program ought to play.
+        program: Whether the driver's robot program is expected to play.
     """
     safety, mode = integers(raw, "safety_mode", 1), integers(raw, "robot_mode", RUNNING)
     state = integers(raw, "runtime_state", PLAYING)
     unsafe = ~np.isin(safety, HARMLESS) | (mode != RUNNING)
-    # What stops the program is a better reason than that it has stopped, if both are seen at once.
+    # If both are detected in one row, report the cause of the stop rather than the program's end.
     for wrong in (unsafe, (state != PLAYING) & program):
         if wrong.any():
             at = int(wrong.argmax())
@@ -306,11 +321,11 @@ def first_fault(raw: StructArray, *, program: bool) -> RobotFault | None:
 
 
 def fault_of(row: np.void, *, program: bool) -> RobotFault | None:
-    """Return the fault of an arm under command, by one raw RTDE row; None if there is none.
+    """Return the fault of an arm under command in one raw RTDE row; None without a fault.
 
     Args:
-        row: Of `Receiver.take`.
-        program: Whether our robot program ought to play.
+        row: Raw row of `Receiver.take`.
+        program: Whether the driver's robot program is expected to play.
     """
     at = f"at device time {float(row['timestamp']):.3f} s"
     if problems := complaints(row):
@@ -321,11 +336,11 @@ def fault_of(row: np.void, *, program: bool) -> RobotFault | None:
     if program and state != PLAYING:
         return RobotFault(
             f"the robot program is {RUNTIME.get(state, f'in state {state}')} {at}",
-            hint="was it stopped at the teach pendant, or replaced by another? connect again",
+            hint="see the teach pendant for a stop or another program, then connect again",
         )
     return None
 
 
 def remedies(said: list[tuple[str, str]]) -> str:
-    """Return the remedies of all findings, each once."""
+    """Return the remedies of all findings in one text, without repetitions."""
     return "; ".join(dict.fromkeys(do for _, do in said if do))

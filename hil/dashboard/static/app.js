@@ -230,8 +230,8 @@ function showOld(seconds, full) {
     const count = document.createElement("span");
     count.ariaHidden = "true";
     box.dataset.full = full;
-    if (full) box.replaceChildren("Too many browsers listen", count, ": close some, or reload this page. What is shown is old; Stop works.");
-    else box.replaceChildren("No news from the dashboard", count, ": what is shown is old. Only the robot’s own button stops it for sure.");
+    if (full) box.replaceChildren("Too many open browsers", count, ": close some, or reload this page. The data shown are old; Stop works.");
+    else box.replaceChildren("No data from the dashboard", count, ": the data shown are old. Only the robot’s own button is sure to stop it.");
   }
   box.querySelector("span").textContent = full ? "" : ` for ${seconds} s`;
 }

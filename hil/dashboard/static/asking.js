@@ -25,7 +25,7 @@ export function hold(form, for_ms = READ_WITHIN_MS) {
   held.set(form, setTimeout(() => setHeld(form, "over" in (form.closest("#run")?.dataset || {})), for_ms));
 }
 
-function refused(form, button, why, how = "was NOT taken") {
+function refused(form, button, why, how = "was NOT accepted") {
   const name = (button?.firstChild.textContent || "This").trim();
   const stops = button?.matches(".stop, [value=no]");
   say(form, "", `“${name}” ${how}: ${why}${stops ? ": use the robot’s own button" : ""}.`);
@@ -34,17 +34,17 @@ function refused(form, button, why, how = "was NOT taken") {
 async function ask(form, button) {
   const answers = Boolean(button?.name);
   const body = new URLSearchParams(new FormData(form, button));
-  say(form, button?.matches(".stop") ? "stopping …" : "asking …");
+  say(form, button?.matches(".stop") ? "stopping …" : "sending …");
   if (answers) hold(form, 2 * ANSWERED_WITHIN_MS); // until the next question, or none is taken
   try {
     const signal = AbortSignal.timeout(ANSWERED_WITHIN_MS);
     const answer = await fetch(form.action, { method: "POST", body, signal, headers: { Accept: "application/json" } });
     const told = await answer.json().catch(() => ({ error: `${answer.status} ${answer.statusText}` }));
-    if (answer.ok) return void say(form, `asked: ${told.asked}`);
+    if (answer.ok) return void say(form, `requested: ${told.asked}`);
     refused(form, button, [told.error, told.hint].filter(Boolean).join(" → "));
   } catch (error) {
     const late = error.name === "TimeoutError";
-    if (late) refused(form, button, "no answer, asking once more", "may not have been taken");
+    if (late) refused(form, button, "no answer, sending it again", "may not have been accepted");
     else refused(form, button, "no connection to the dashboard");
     // As it would have been without any of this; where nobody listens, when it is pressed again.
     form.dataset.plain = "";

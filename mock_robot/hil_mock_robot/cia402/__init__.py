@@ -1,1 +1,1 @@
-"""Six CiA 402 drives on a CAN bus, with the simulated arm between them."""
+"""Mock of CiA 402 drives on a CAN bus, together with the simulated arm that they move."""

@@ -1,11 +1,12 @@
-"""The rules for what a client may read and write by SDO.
+"""Rules for the SDO access of a client to the objects of a mock drive.
 
-They are CiA 301's: existence, access, length, range, device state, COB-IDs, and the order in which
-a PDO is laid out. That order is: invalidate the PDO (bit 31 of its COB-ID), set the number of
-mapped objects to 0, write them, set their number, make the PDO valid again. Writes to the mapping
-or inhibit time of a valid PDO are refused with 0800 0022h, as are writes of a mapping entry while
-the number is not 0. `MockNode` refuses all PDO objects in the NMT state operational, as many drives
-do.
+The rules follow CiA 301. They concern the existence of an object, access, length and range of its
+value, the device state, COB-IDs, and the order in which a PDO is configured. A PDO is configured in
+this order: invalidate the PDO (bit 31 of its COB-ID), set the number of mapped objects to 0, write
+the mapped objects, set their number, make the PDO valid again. Writes to the mapping or inhibit
+time of a valid PDO are refused with 0800 0022h. Writes of a mapping entry are refused with the same
+code while the number of mapped objects is not 0. `MockNode` refuses all writes to PDO objects in
+the NMT state operational, as many drives do.
 """
 
 from __future__ import annotations
@@ -42,24 +43,24 @@ NO_SUB_INDEX = 0x0609_0011
 OUT_OF_RANGE = 0x0609_0030
 DEVICE_STATE = 0x0800_0022
 NO_DATA = 0x0800_0024
-"""Why a transfer is aborted (CiA 301)."""
+"""Abort codes of SDO transfers (CiA 301)."""
 
 ERROR_FIELD, EMERGENCY_COB_ID, CONSUMERS = 0x1003, 0x1014, 0x1016
 PERIOD_KEYS = (keys.INTERPOLATION_VALUE, keys.INTERPOLATION_INDEX, keys.CYCLE_PERIOD)
 LONGEST_MS = 1000
 
 OPERATION_ENABLED = 1 << 2
-"""Bit of the statusword that is set while the drive works, stops quickly or reacts to a fault."""
+"""Bit of the statusword that is set in operation enabled, quick stop and fault reaction."""
 
 Abort = SdoAbortedError
-"""Raised with one of the codes; the SDO server answers with it."""
+"""Exception with an SDO abort code, with which the SDO server answers the client."""
 
 
 def entry_of(index: int, sub: int) -> Object:
-    """The variable at that place.
+    """Return the object with an index and a sub-index.
 
     Raises:
-        Abort: There is none.
+        Abort: The drive has no object with this index and sub-index.
     """
     entry = by_key().get(key(index, sub))
     if entry is None:
@@ -68,10 +69,10 @@ def entry_of(index: int, sub: int) -> Object:
 
 
 def read_object(registers: Registers, entry: Object, *, by_client: bool) -> bytes:
-    """An object's data, all but `domain`.
+    """Return the data of an object that is not of type `domain`.
 
     Raises:
-        Abort: A client may not read it.
+        Abort: The object is not readable.
     """
     require(entry.readable or not by_client, WRITE_ONLY)
     if entry.index == ERROR_FIELD and by_client:
@@ -82,10 +83,11 @@ def read_object(registers: Registers, entry: Object, *, by_client: bool) -> byte
 
 
 def decoded_value(registers: Registers, entry: Object, data: bytes, *, by_client: bool) -> int:
-    """Decode the data written to an object, and check that it may be written now.
+    """Decode the data written to an object, after checking that the write is allowed.
 
     Raises:
-        Abort: It may not be written, not with this, or not now.
+        Abort: The object is not writable, the value is invalid, or the write is not allowed in the
+            present state of the drive.
     """
     require(entry.writable or not by_client, READ_ONLY)
     require(entry.type in CODES and len(data) == entry.packing.size, WRONG_LENGTH)
@@ -109,7 +111,7 @@ def _check_rules(registers: Registers, entry: Object, value: int) -> None:
 
 
 def _check_period(registers: Registers, entry: Object, value: int) -> None:
-    """SYNC comes with steps of the drives, which are of 1 ms, and once a second at least."""
+    """Raise `Abort` unless the SYNC period is a multiple of the drives' 1 ms step, up to 1 s."""
     if entry.key == keys.CYCLE_PERIOD:
         millis = Fraction(value, 1000)
     else:
@@ -120,16 +122,16 @@ def _check_period(registers: Registers, entry: Object, value: int) -> None:
 
 
 def watched(raw: int) -> tuple[int, float]:
-    """Return node and time-out [s] of an entry of 1016h; 0 s: no node is watched."""
+    """Return node id and time-out [s] in an entry of 1016h; 0 s if no node is monitored."""
     node, milliseconds = raw >> 16 & 0xFF, raw & 0xFFFF
     return node, milliseconds / 1000 if 0 < node < 128 else 0.0
 
 
 def check_consumer(registers: Registers, sub: int, value: int) -> None:
-    """A client sets an entry of 1016h.
+    """Check a value that a client writes to an entry of 1016h.
 
     Raises:
-        Abort: That node is watched by another entry.
+        Abort: The same node is already monitored by another entry.
     """
     others = (registers[key(CONSUMERS, n)] for n in range(1, N_CONSUMED + 1) if n != sub)
     nodes = {watched(raw)[0] for raw in others if watched(raw)[1]}
@@ -141,19 +143,19 @@ MOST_BITS = 64
 
 CAN_ID = 0x7FF
 COB_ID, TRANSMISSION, INHIBIT, EVENT_TIMER = 1, 2, 3, 5
-"""Sub-indices of the parameters."""
+"""Sub-indices of the PDO communication parameters."""
 
 DUMMIES = {(key(index), bits) for index, bits in enumerate((8, 16, 32, 8, 16, 32), 2)}
-"""Data types (0002h to 0007h) that an RPDO may carry for others: they are passed over."""
+"""Data types (0002h to 0007h) that an RPDO can contain as placeholders without effect."""
 
 
 def is_pdo_object(index: int) -> bool:
-    """Whether an object lays out a PDO."""
+    """Return whether an object is part of a PDO configuration."""
     return FIRST_PDO_OBJECT <= index <= LAST_PDO_OBJECT
 
 
 def transmits(index: int) -> bool:
-    """Whether the object is one of a TPDO."""
+    """Return whether an object is part of a TPDO configuration."""
     return index >= TPDO_PARAMETERS
 
 
@@ -161,10 +163,10 @@ _TO_MAPPING = 0x200
 
 
 def check_pdo(registers: Registers, entry: Object, value: int) -> None:
-    """A client writes to one of these objects.
+    """Check a value that a client writes to a PDO object.
 
     Raises:
-        Abort: Not this value, or not now.
+        Abort: The value is invalid, or the write is not allowed in the present state of the PDO.
     """
     parameters = entry.index & ~_TO_MAPPING
     exists = cob_id_is_valid(registers[key(parameters, COB_ID)])
@@ -185,7 +187,7 @@ def _check_parameter(registers: Registers, entry: Object, value: int, exists: bo
 
 
 def _cob_id_is_free(registers: Registers, entry: Object, value: int) -> bool:
-    """Whether no other PDO of this node has the identifier."""
+    """Return whether no other PDO of the node uses an identifier."""
     others = (
         registers[key(family + number, COB_ID)]
         for family in (RPDO_PARAMETERS, TPDO_PARAMETERS)
@@ -227,29 +229,29 @@ def _check_entry(raw: int, transmit: bool) -> None:
 
 
 def mapped(raw: int) -> tuple[int, int]:
-    """Return key and length in bits of the object of an entry of 16xxh or 1Axxh."""
+    """Return the key and the length [bits] of the object in a mapping entry (16xxh or 1Axxh)."""
     return raw >> 8, raw & 0xFF
 
 
 RESTRICTED = (
     (0x000, 0x080), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF),
 )  # fmt: skip
-"""First and last identifiers that belong to NMT, SYNC, SDO and heartbeat."""
+"""First and last CAN identifier of each range reserved for NMT, SYNC, SDO and heartbeat."""
 
 EXTENDED_PART = 0x3FFF_F800
-"""Bits of a 29-bit identifier and the bit that says that it is one."""
+"""Bits of a COB-ID that only a 29-bit identifier uses, including the bit that marks it."""
 
 
 def cob_id_is_valid(cob_id: int) -> bool:
-    """Return whether the object with this COB-ID is in use."""
+    """Return whether the communication object with a COB-ID is in use."""
     return not cob_id & NOT_VALID
 
 
 def check_cob_id(old: int, new: int) -> None:
-    """Check a COB-ID that a client writes in place of the old one.
+    """Check a COB-ID that a client writes in place of the old COB-ID.
 
     Raises:
-        Abort: It cannot have that one, or the identifier changes while it is in use.
+        Abort: The new COB-ID is invalid, or the identifier changes while the old COB-ID is in use.
     """
     require(not new & EXTENDED_PART, OUT_OF_RANGE)
     number = new & CAN_ID
@@ -259,6 +261,6 @@ def check_cob_id(old: int, new: int) -> None:
 
 
 def require(condition: bool, code: int) -> None:
-    """Abort with this code unless the condition holds."""
+    """Raise `Abort` with an abort code unless a condition is true."""
     if not condition:
         raise Abort(code)

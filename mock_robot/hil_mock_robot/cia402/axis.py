@@ -1,7 +1,8 @@
-"""One axis: what all parts of a drive work on.
+"""Data of one mock axis, shared by all parts of its drive, and set-point generators.
 
-`Axis` holds the live registers, their scale at the joint, what was measured last and where the
-set-point is. `Ramp`, `Trapezoid` and `Between` are the ways a set-point goes, step by step.
+`Axis` contains the live registers, their scaling at the joint, the last measurements and the
+present set-point. `Ramp`, `Trapezoid` and `Between` generate the set-points of an axis step by
+step.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ TURN = 2.0 * math.pi
 PER_MILLE = 1000.0
 
 POSITION_BIT, VELOCITY_BIT, TORQUE_BIT = 0x80, 0x40, 0x20
-"""607Eh: counts against the motor. CiA 402 leaves bit 5 to vendors; ours is of this kind."""
+"""Polarity bits (607Eh) that reverse the sign of position, velocity and torque.
+
+CiA 402 leaves the meaning of bit 5 to the manufacturers; the mock drives use it for torque.
+"""
 
 INT16, INT32 = (-(1 << 15), (1 << 15) - 1), (-(1 << 31), (1 << 31) - 1)
 
@@ -33,18 +37,18 @@ SCALING = frozenset(
         keys.GEAR_SHAFT, keys.RATED_CURRENT, keys.RATED_TORQUE,
     }
 )  # fmt: skip
-"""Objects that `Axis.rescale` reads."""
+"""Keys of the objects from which `Axis.rescale` computes the scales."""
 
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """Properties of the joint of a drive, beside its objects.
+    """Properties of a drive's joint that are not objects of the drive.
 
     Attributes:
-        name: For messages.
-        qd_max: Highest speed [rad/s]; a good deal more is a fault.
-        qdd_max: Strongest deceleration, where an option code asks for it [rad/s²].
-        effort_max: Most torque the drive can give, at the joint [N·m].
+        name: Name of the joint, used in messages.
+        qd_max: Maximum speed [rad/s]; a speed far above `qd_max` is a fault.
+        qdd_max: Maximum deceleration [rad/s²], used if an option code requires it.
+        effort_max: Maximum torque of the drive at the joint [N·m].
     """
 
     name: str
@@ -54,7 +58,7 @@ class Joint:
 
 
 def joints_of(arm: ArmDescription) -> tuple[Joint, ...]:
-    """The joints of an arm."""
+    """Return the properties of all joints of an arm."""
     columns = arm.joint_names, arm.qd_max, arm.qdd_max, arm.effort_max
     return tuple(
         Joint(name, float(v), float(a), float(e)) for name, v, a, e in zip(*columns, strict=True)
@@ -62,27 +66,31 @@ def joints_of(arm: ArmDescription) -> tuple[Joint, ...]:
 
 
 POWERS = {exponent: 10.0**exponent for exponent in range(-6, 1)}
-"""Of ten, by the index in 60C2h:2."""
+"""Powers of ten for the exponents that 60C2h:2 can contain."""
 
 LONGEST_PERIOD_S = 1.0
 MOST_STEPS = round(LONGEST_PERIOD_S / STEP_S)
 
 
 class Axis:
-    """One axis as its modes see it.
+    """State of one axis, which its modes of operation read and change.
 
     Attributes:
-        registers, joint: As given.
-        counts: Increments per radian of the joint, with the sign of position.
-        speed_counts: Increments/s per rad/s, with the sign of velocity.
-        torque_counts: ‰ of rated torque per N·m at the joint, with the sign of torque.
-        current_counts: ‰ of rated current per ampere, with the sign of torque.
-        shift: Increments that homing has added to the position.
-        q, qd: Measured last [rad], [rad/s].
-        demand_q, demand_qd: Where the set-point is at the end of the last block [rad], [rad/s].
-        slipped: Increments that the set-point has jumped away from the joint (injected).
-        limited: A set-point was cut to what is allowed, in the last block.
-        missed: SYNCs since the last RPDO with a set-point, where RPDOs bring them.
+        registers: Live objects of the drive.
+        joint: Properties of the joint.
+        counts: Position scale, with its sign [increments/rad].
+        speed_counts: Velocity scale, with its sign [increments/s per rad/s].
+        torque_counts: Torque scale at the joint, with its sign [‰ of rated torque per N·m].
+        current_counts: Current scale, with the sign of torque [‰ of rated current per A].
+        shift: Increments added to the position by homing.
+        q: Position of the joint at the last measurement [rad].
+        qd: Speed of the joint at the last measurement [rad/s].
+        demand_q: Set-point of the position at the end of the last block [rad].
+        demand_qd: Set-point of the speed at the end of the last block [rad/s].
+        slipped: Jump of the set-point away from the joint [increments], injected by a fault.
+        limited: Whether a set-point of the last block was limited.
+        missed: Number of SYNCs since the last RPDO with a set-point; counted only if RPDOs contain
+            set-points.
         rhythm_set: Whether a client has written 60C2h since the last reset.
     """
 
@@ -100,7 +108,7 @@ class Axis:
         self.rescale()
 
     def rescale(self) -> None:
-        """Update from the scaling objects."""
+        """Compute the scales from the scaling objects of the drive."""
         objects = self.registers
         polarity = objects.get(keys.POLARITY, 0)
         encoder = objects[keys.ENCODER_INCREMENTS] / objects[keys.ENCODER_REVOLUTIONS]
@@ -114,16 +122,16 @@ class Axis:
         self.current_counts = _signed(per_a, polarity & TORQUE_BIT)
 
     def stay(self) -> None:
-        """Make where the joint is the set-point, at rest."""
+        """Set the set-point to the measured position with speed 0."""
         self.demand_q, self.demand_qd = self.q, 0.0
 
     def raw_position(self, q: float) -> int:
-        """Increments of a joint angle [rad], wrapped to 32 bits."""
+        """Return the increments of a joint angle [rad], wrapped to 32 bits."""
         raw = round(q * self.counts) + self.shift
         return raw if -0x8000_0000 <= raw <= 0x7FFF_FFFF else wrapped(raw)
 
     def target(self, raw: int) -> float:
-        """Joint angle [rad] of a target in increments, cut to the position limits (607Dh)."""
+        """Return the joint angle [rad] of a target in increments, limited to 607Dh."""
         objects = self.registers
         low, high = objects[keys.POSITION_LIMIT_MIN], objects[keys.POSITION_LIMIT_MAX]
         if low < high and not low <= raw <= high:
@@ -132,12 +140,12 @@ class Axis:
         return (raw - self.shift) / self.counts
 
     def inside(self, q: float) -> float:
-        """A joint angle [rad], cut to the position limits (607Dh)."""
+        """Return a joint angle [rad], limited to the position limits (607Dh)."""
         return self.target(round(q * self.counts) + self.shift)
 
     @property
     def torque_limit_counts(self) -> int:
-        """‰ of rated torque that the drive may give; of 6072h, 60E0h and 60E1h the least."""
+        """Torque limit of the drive [‰ of rated torque]: minimum of 6072h, 60E0h and 60E1h."""
         objects = self.registers
         return min(
             objects[keys.MAX_TORQUE],
@@ -147,13 +155,14 @@ class Axis:
 
     @property
     def torque_limit(self) -> float:
-        """The same at the joint [N·m]."""
+        """Torque limit of the drive at the joint [N·m]."""
         return abs(self.torque_limit_counts / self.torque_counts)
 
     def deceleration(self, option: int) -> float:
-        """How hard an option code (605Ah, 605Ch to 605Eh) wants it to brake [rad/s²].
+        """Return the deceleration [rad/s²] that an option code selects (605Ah, 605Ch to 605Eh).
 
-        1 and 5: 6084h; 2 and 6: 6085h; else all that the joint can.
+        Option codes 1 and 5 select 6084h, option codes 2 and 6 select 6085h. All other codes select
+        the maximum deceleration of the joint.
         """
         by_option = {1: keys.PROFILE_DECELERATION, 2: keys.QUICK_STOP_DECELERATION}
         where = by_option.get(option % 4)
@@ -162,9 +171,10 @@ class Axis:
 
     @property
     def period_steps(self) -> int:
-        """Steps from SYNC to SYNC, over which set-points are interpolated.
+        """Number of steps from SYNC to SYNC, over which set-points are interpolated.
 
-        By 60C2h as it was written; by 1006h where it never was, or else by 60C2h's default.
+        If a client has written 60C2h, the period is 60C2h. If no client has written 60C2h, the
+        period is 1006h if it is not 0, else the default of 60C2h.
         """
         objects = self.registers
         micros = objects[keys.CYCLE_PERIOD]
@@ -181,12 +191,12 @@ def _signed(value: float, against: int) -> float:
 
 
 def wrapped(raw: int) -> int:
-    """An integer as it comes out of 32 bits with sign."""
+    """Return an integer wrapped to a signed 32-bit integer."""
     return (raw + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
 
 
 def within(value: int, ends: tuple[int, int]) -> int:
-    """`value`, not beyond either end."""
+    """Return `value`, limited to the range between the two `ends`."""
     least, most = ends
     return least if value < least else most if value > most else value
 
@@ -194,16 +204,17 @@ def within(value: int, ends: tuple[int, int]) -> int:
 DC_LINK_MV = 325_000
 
 SAG_MV_PER_W = 10.0
-"""What the DC link loses (or gains) by the power that one axis takes (or gives back)."""
+"""Voltage drop of the DC link per motor power [mV/W]; a braking motor raises the voltage."""
 
 
 def write_readings(axis: Axis, measured: Measured) -> int:
-    """Write 6062h, 6064h, 606Bh, 606Ch, 6074h, 6077h to 6079h, 60F4h and 2110h.
+    """Write measurements to 6062h, 6064h, 606Bh, 606Ch, 6074h, 6077h to 6079h, 60F4h, 2110h.
 
-    6077h is the current times the drive's own torque constant, as in most drives: not measured.
+    As in most drives, the torque (6077h) is not measured but computed: motor current times torque
+    constant of the drive.
 
     Returns:
-        The following error (60F4h) [increments].
+        Following error (60F4h) [increments].
     """
     objects = axis.registers
     torque = within(round(measured.torque * axis.torque_counts), INT16)
@@ -222,14 +233,16 @@ def write_readings(axis: Axis, measured: Measured) -> int:
 
 
 class Ramp:
-    """To rest, with a constant deceleration.
+    """Set-point generator that decelerates to rest at a constant rate.
 
     Args:
-        q, qd: Where it begins [rad], [rad/s].
-        deceleration: [rad/s²].
+        q: Initial position [rad].
+        qd: Initial speed [rad/s].
+        deceleration: Deceleration [rad/s²].
 
     Attributes:
-        q, qd: Where it is.
+        q: Present position [rad].
+        qd: Present speed [rad/s].
     """
 
     def __init__(self, q: float, qd: float, deceleration: float) -> None:
@@ -237,11 +250,11 @@ class Ramp:
 
     @property
     def done(self) -> bool:
-        """Whether it is at rest."""
+        """Whether the set-point has reached speed 0."""
         return self.qd == 0.0
 
     def advance(self, steps: int) -> FloatArray:
-        """(N, 3) position, velocity, acceleration at the end of each step."""
+        """Return (N, 3) position, speed, acceleration of the set-point at the end of each step."""
         rows = np.zeros((steps, 3))
         rows[:, 0] = self.q
         for row in rows:
@@ -257,16 +270,20 @@ class Ramp:
 
 
 class Trapezoid:
-    """To a position and to rest there, with limits of speed, acceleration and deceleration.
+    """Set-point generator that moves to rest at a target, with trapezoidal speed.
 
     Args:
-        q, qd: Where it begins [rad], [rad/s].
-        target: [rad].
-        limits: Speed [rad/s], acceleration and deceleration [rad/s²].
+        q: Initial position [rad].
+        qd: Initial speed [rad/s].
+        target: Target position [rad].
+        limits: Maximum speed [rad/s], acceleration and deceleration [rad/s²].
 
     Attributes:
-        q, qd: Where it is.
-        target, limits: As given; they can be changed on the way.
+        q: Present position [rad].
+        qd: Present speed [rad/s].
+        target: Target position [rad], which can be changed during the motion.
+        limits: Maximum speed [rad/s], acceleration and deceleration [rad/s²], which can be changed
+            during the motion.
     """
 
     def __init__(
@@ -276,11 +293,11 @@ class Trapezoid:
 
     @property
     def done(self) -> bool:
-        """Whether it is at the target, at rest."""
+        """Whether the set-point is at rest at the target."""
         return self.q == self.target and self.qd == 0.0
 
     def advance(self, steps: int) -> FloatArray:
-        """(N, 3) position, velocity, acceleration at the end of each step."""
+        """Return (N, 3) position, speed, acceleration of the set-point at the end of each step."""
         rows = np.empty((steps, 3))
         for row in rows:
             before = self.qd
@@ -291,7 +308,7 @@ class Trapezoid:
     def _step(self) -> None:
         top, up, down = self.limits
         way = self.target - self.q
-        # From this speed it comes to rest on the way that is left after this step.
+        # Highest speed from which the axis can stop on the distance left after this step.
         most = min(
             top, down * STEP_S * 0.5 * (math.sqrt(1 + 8 * abs(way) / (down * STEP_S**2)) - 1)
         )
@@ -307,17 +324,20 @@ class Trapezoid:
 
 
 class Between:
-    """From target to target, one per SYNC: a cubic that arrives with the next.
+    """Set-point generator that interpolates between the targets of two SYNCs by a cubic.
 
-    The speed at a target is that of the parabola through it and the two before: causal, and
-    without the ripple that straight lines between targets put on the torque. When no target
-    comes any more, the set-point is brought to rest.
+    The speed at a target is the speed of the parabola through this target and the two targets
+    before. Thus the speed depends only on past targets, and straight lines between targets with
+    their torque ripple are avoided. If no further target arrives, the set-point decelerates to
+    rest.
 
     Args:
-        q, qd: Where it begins [rad], [rad/s].
+        q: Initial position [rad].
+        qd: Initial speed [rad/s].
 
     Attributes:
-        q, qd: Where it is.
+        q: Present position [rad].
+        qd: Present speed [rad/s].
     """
 
     def __init__(self, q: float, qd: float) -> None:
@@ -327,17 +347,17 @@ class Between:
         self._at = 0
 
     def go_on(self, steps: int, within: Callable[[float], float]) -> None:
-        """No target has come: go on at the present speed for that many steps.
+        """Continue at the present speed for a number of steps, because no target has arrived.
 
         Args:
-            steps: Of `STEP_S`.
-            within: Cuts a position [rad] to what is allowed.
+            steps: Number of steps of `STEP_S`.
+            within: Function that limits a position [rad] to the permitted range.
         """
         self._way = self.qd * steps * STEP_S
         self.aim(within(self.q + self._way), steps)
 
     def aim(self, target: float, steps: int) -> None:
-        """Be at `target` [rad] after that many steps."""
+        """Plan the path that reaches `target` [rad] after `steps` steps."""
         before, self._way = self._way, target - self.q
         period = steps * STEP_S
         after = 0.5 * (3.0 * self._way - before) / period if self._way else 0.0
@@ -346,7 +366,7 @@ class Between:
         self._path, self._at = path, 0
 
     def advance(self, steps: int, deceleration: float) -> FloatArray:
-        """(N, 3) position, velocity, acceleration at the end of each step."""
+        """Return (N, 3) position, speed, acceleration of the set-point at the end of each step."""
         path = self._path
         if path is None:
             return self._to_rest(steps, deceleration)
@@ -371,9 +391,10 @@ class Between:
 
 @lru_cache(maxsize=16)
 def hermite(steps: int) -> FloatArray:
-    """(3N, 3): position, velocity, acceleration at each of N steps, of a cubic.
+    """Return the (3N, 3) matrix of position, velocity, acceleration at N steps of a cubic.
 
-    Columns: speed at its beginning, way, speed at its end.
+    The columns of the matrix are the coefficients of the initial speed, the distance and the final
+    speed.
     """
     period = steps * STEP_S
     s = np.arange(1, steps + 1) / steps
@@ -389,7 +410,7 @@ def hermite(steps: int) -> FloatArray:
 
 
 def rows_at_rest(q: float, steps: int) -> FloatArray:
-    """Return (N, 3) set-points at rest at `q` [rad]."""
+    """Return N set-points (N, 3) with position `q` [rad] and speed 0."""
     rows = np.zeros((steps, 3))
     rows[:, 0] = q
     return rows

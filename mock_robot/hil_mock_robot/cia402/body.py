@@ -1,9 +1,10 @@
-"""The arm under the drives: a `Demand` of each axis in, its `Measured` out, in steps of 1 ms.
+"""Simulated arm moved by the mock drives, in steps of 1 ms.
 
-`Body` is the arm with its brakes, `PlainServoArm` the simulation with the joint servos of plain
-drives: each has the inertia of its own rotor and no model of the arm. A robot's own controller
-feeds the torques of such a model forward; a drive on a bus has position and velocity, an
-integrator, and the torque offset of its master (60B2h).
+The input of the simulation is a `Demand` for each axis; the output is a `Measured` for each axis.
+`Body` is the simulated arm with its brakes. `PlainServoArm` is the simulation with the joint servos
+of plain drives: each servo knows the inertia of its own rotor and has no model of the arm. A robot
+controller, in contrast, feeds forward the torques of a model of the arm. A plain drive has only a
+position and a velocity loop, an integrator, and the torque offset from the master (60B2h).
 """
 
 from __future__ import annotations
@@ -24,22 +25,23 @@ from hil_mock_robot.plant.step import FAULT_OVERLOAD, FAULT_RUNAWAY, OVERLOAD_S,
 from hil_mock_robot.plant.truth import Truth, published
 
 STEP_S = 0.001
-"""Period of the drives' position loop, and the step of everything [s]."""
+"""Period of the drives' position loop, and step of the whole simulation [s]."""
 
 STILL_RAD_S = 1e-3
-"""On closed brakes an arm slower than this does not move any more."""
+"""Speed below which an arm on closed brakes counts as at rest [rad/s]."""
 
 GRIP_STEPS = 100
-"""Nor does it when the brakes have had so long."""
+"""Number of steps on closed brakes after which an arm counts as at rest at any speed."""
 
 
 class Demand(NamedTuple):
-    """Demand of one axis on its motor during a block of steps.
+    """Demand of one drive on its motor during a block of steps.
 
     Attributes:
-        setpoints: (N, 3) position [rad], velocity [rad/s] and acceleration [rad/s²] of the joint.
-        torque: Commanded joint torque [N·m] in place of following them; NaN to follow.
-        braked: Whether the holding brake is closed: no current flows.
+        setpoints: (N, 3) set-points of the joint: position [rad], velocity [rad/s] and acceleration
+            [rad/s²].
+        torque: Commanded joint torque [N·m]; NaN if the joint follows the set-points.
+        braked: Whether the holding brake is closed, so that no current flows.
         offset: Joint torque [N·m] that the drive adds to the torque of its servo.
         limit: Largest joint torque of the drive [N·m].
     """
@@ -55,12 +57,14 @@ class Measured(NamedTuple):
     """Measurements of one axis at the end of a block.
 
     Attributes:
-        q, qd: [rad], [rad/s], with the sensors' noise.
-        torque: From the motor current by the drive's own constants [N·m at the joint].
+        q: Position with sensor noise [rad].
+        qd: Speed with sensor noise [rad/s].
+        torque: Torque at the joint [N·m], computed by the drive from the motor current.
         current: Motor current [A].
-        celsius: Of the motor [°C].
-        true_q, true_qd: Without noise, for tests and the journal.
-        limited: Whether the drive gives its largest torque.
+        celsius: Motor temperature [°C].
+        true_q: Position without noise [rad], for tests and the journal.
+        true_qd: Speed without noise [rad/s], for tests and the journal.
+        limited: Whether the drive is at its torque limit.
     """
 
     q: float
@@ -74,21 +78,21 @@ class Measured(NamedTuple):
 
 
 class Body:
-    """An arm with randomly drawn parameters, held by its brakes until the drives release them.
+    """Arm with random parameters, held by its brakes until the drives release the brakes.
 
     Args:
-        truth: Its true parameters.
-        q: (n,) where it stands when it is switched on [rad].
-        gravity: In the base frame [m/s²].
-        substep_hz: Integration steps per second.
-        mounted: What hangs at the flange; nothing when None.
-        temperature_c: Of the joints at the start; the room's when None.
+        truth: True parameters of the arm.
+        q: (n,) joint positions when the arm is switched on [rad].
+        gravity: Gravity in the base frame [m/s²].
+        substep_hz: Rate of the integration steps [Hz].
+        mounted: Payload at the flange; None for no payload.
+        temperature_c: Temperature of all joints at the start [°C]; None for the room temperature.
 
     Attributes:
-        arm: Its published description.
-        seen: What the axes measured last, from the start on.
-        faults: By axis, the EMCY codes that the last block of steps has brought.
-        mounted: What hangs at the flange.
+        arm: Published description of the arm, which differs from the true parameters.
+        seen: Last measurements of all axes, available from the start.
+        faults: EMCY codes of the last block of steps, by axis.
+        mounted: Payload at the flange.
     """
 
     def __init__(
@@ -129,7 +133,10 @@ class Body:
         return self._plant.position
 
     def advance(self, demands: Sequence[Demand]) -> list[Measured]:
-        """Follow the demands of the axes, each for the same number of steps."""
+        """Move the arm according to the demands of all axes, and return the measurements.
+
+        All demands must have the same number of steps.
+        """
         self.faults = {}
         rows = self._rows(demands)
         steps = len(rows)
@@ -138,14 +145,14 @@ class Body:
         return self.seen
 
     def mount(self, payload: Payload) -> None:
-        """Mount a load; closed brakes carry it, servos have to find its weight."""
+        """Mount a payload, which closed brakes hold and to which servos must adapt."""
         self.mounted = payload
         self._plant.set_payloads(payload, Payload())
         if self._standing:
             self._plant.carry()
 
     def push(self, torque: FloatArray) -> None:
-        """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
+        """Apply an external torque (n,) [N·m] to the joints until the next call of `push`."""
         self._plant.disturbances.push[:] = torque
 
     def heat(self, axis: int, celsius: float) -> None:
@@ -153,7 +160,7 @@ class Body:
         self._plant.joints.states["celsius"][axis] = celsius
 
     def _rows(self, demands: Sequence[Demand]) -> FloatArray:
-        """Return (N, 3, n) set-points of the plant; brakes, torques and limits are set as well."""
+        """Return (N, 3, n) set-points of the plant; also set brakes, torques and limits."""
         steps = len(demands[0].setpoints)
         rows = np.empty((steps, 3, len(demands)))
         for j, demand in enumerate(demands):
@@ -165,14 +172,14 @@ class Body:
                 continue
             if brake.closed:
                 brake.closed = self._standing = False
-                # The integrator has the whole load; of that, what is added from now on is a part.
+                # The integrator already carries the whole load, including this torque offset.
                 self._offsets[j] = demand.offset
             self._drive(j, demand)
             rows[:, :, j] = demand.setpoints
         return rows
 
     def _drive(self, j: int, demand: Demand) -> None:
-        """Let a drive control its axis."""
+        """Apply the torque, torque limit and torque offset of a drive that controls its axis."""
         plant = self._plant
         limit = min(demand.limit, self._efforts[j])
         if limit != self._limits[j]:
@@ -182,7 +189,7 @@ class Body:
         plant.disturbances.torque[j] = self._torques[j] = torque
         if not math.isnan(torque):
             return
-        if not math.isnan(before):  # what the motor gave is where the integrator begins
+        if not math.isnan(before):  # the integrator begins at the motor's last torque
             plant.load(j, before)
             self._offsets[j] = demand.offset
         elif demand.offset != self._offsets[j]:
@@ -190,7 +197,7 @@ class Body:
             self._offsets[j] = demand.offset
 
     def _close(self, j: int) -> None:
-        """The brake takes an axis from its drive."""
+        """Close the brake of an axis; the drive loses control."""
         plant, followed = self._plant, math.isnan(self._torques[j])
         if not followed:
             plant.load(j, plant.bias(j))
@@ -206,7 +213,7 @@ class Body:
             brake.close(float(self._plant.position[j]), 0.0, 0.0)
 
     def _stands(self, steps: int) -> bool:
-        """Whether nothing moves any more, or ever, until a brake opens."""
+        """Return whether no joint moves until a brake opens."""
         if self._standing:
             return True
         if not all(brake.rests for brake in self._brakes):
@@ -228,7 +235,7 @@ class Body:
         return self._plant.stand(1)
 
     def _measure(self, samples: Samples) -> list[Measured]:
-        """Return the measurements at the end of a block; closed brakes need no current."""
+        """Return the measurements at the end of a block; closed brakes mean zero current."""
         last = samples.values[-1:]
         q, qd, current, celsius = (last[:, channel] for channel in range(4))
         seen = self._sensors.measure(q, qd, current, celsius)
@@ -245,20 +252,20 @@ class Body:
 
 
 DECELERATIONS = 2.0
-"""How hard it brakes, in what the joint may accelerate with."""
+"""Deceleration of a brake as a multiple of the joint's maximum acceleration."""
 
 AT_REST_RAD_S = 0.01
-"""Slower than this it closes without a trace."""
+"""Speed below which a brake closes without any further motion [rad/s]."""
 
 
 class Brake:
-    """Where the joint goes while it is closed.
+    """Holding brake of a joint, with the motion of the joint while the brake is closed.
 
     Args:
-        qdd_max: What the joint may accelerate with [rad/s²].
+        qdd_max: Maximum acceleration of the joint [rad/s²].
 
     Attributes:
-        closed: It is, from the start on.
+        closed: Whether the brake is closed; True at the start.
     """
 
     def __init__(self, qdd_max: float) -> None:
@@ -268,17 +275,23 @@ class Brake:
 
     @property
     def rests(self) -> bool:
-        """It is closed, and the joint has come to rest."""
+        """Whether the brake is closed and the joint is at rest."""
         return self.closed and self._qd == 0.0
 
     def close(self, held: float, q: float, qd: float) -> None:
-        """Close on a joint at `q`, `qd`; at rest it stays at its set-point [rad], [rad/s]."""
+        """Close the brake; a joint at rest stays at its set-point.
+
+        Args:
+            held: Set-point of the joint [rad].
+            q: Position of the joint [rad].
+            qd: Speed of the joint [rad/s].
+        """
         self.closed = True
         slow = abs(qd) < AT_REST_RAD_S
         self._q, self._qd = (held, 0.0) if slow else (q, qd)
 
     def path(self, steps: int) -> FloatArray:
-        """(N, 3) of the joint during the next steps."""
+        """Return (N, 3) position, velocity and acceleration of the joint at the next N steps."""
         rows = np.zeros((steps, 3))
         if self._qd == 0.0:
             rows[:, 0] = self._q
@@ -295,60 +308,67 @@ class Brake:
 INTEGRAL_S = 0.1
 
 REST_INTEGRAL_S = 0.1
-"""Reset times of the integrators: a drive's loop is quicker than the servo of a whole arm."""
+"""Reset times of the integrators in motion and at rest [s].
+
+The control loop of a single drive is faster than the servo of a whole arm.
+"""
 
 OVERCURRENT, TOO_FAR_AWAY = 0x2310, 0x8611
-"""EMCY codes of what goes wrong in the plant: continuous over-current, following error."""
+"""EMCY codes of faults that the simulation detects: over-current, following error."""
 
 NEARLY = 0.99
-"""A torque limit (6072h) of so much of the drive's own is none: rated torque is rounded."""
+"""Share of the drive's own torque from which a torque limit (6072h) counts as no limit.
+
+A drive's torque limit must be compared with a tolerance, because the rated torque is rounded.
+"""
 
 
 class PlainServoArm(Simulation):
-    """A `Simulation` with independent joints: each has its torque, its limit, its faults.
+    """`Simulation` in which each joint has a separate torque, torque limit and fault.
 
     Attributes:
-        faults: By joint, the EMCY codes that the last rows have brought.
+        faults: EMCY codes of the last rows, by joint.
     """
 
     faults: dict[int, int]
 
     def preload(self, joint: int, torque: float) -> None:
-        """Add to the torque [N·m] that a joint's integrator gives."""
+        """Add a torque [N·m] to the integrator of a joint."""
         self.joints.states["integral"][joint] += torque
 
     def load(self, joint: int, torque: float) -> None:
-        """Set the torque [N·m] that a joint's integrator gives."""
+        """Set the torque [N·m] of the integrator of a joint."""
         self.joints.states["integral"][joint] = torque
 
     def limit(self, joint: int, torque: float) -> None:
-        """Limit the torque of a drive [N·m]."""
+        """Set the torque limit of a drive [N·m]."""
         self.joints.servos["limit"][joint] = torque
 
     def take(self, joint: int) -> None:
-        """Make the state in which one joint is its set-point."""
+        """Set the set-point of one joint to the joint's present state."""
         data = self.plant.data
         self._setpoint[:, joint] = data.qpos[joint], data.qvel[joint], 0.0
 
     def bias(self, joint: int) -> float:
-        """Torque [N·m] that gravity (and motion) puts on a joint."""
+        """Return the torque [N·m] of gravity and motion on a joint."""
         return float(self.plant.data.qfrc_bias[joint])
 
     def carry(self) -> None:
-        """Set every integrator to the gravity torque of its joint."""
+        """Set the integrator of each joint to the gravity torque of the joint."""
         mujoco.mj_forward(self.plant.model, self.plant.data)
         self.joints.states["integral"] = self.plant.data.qfrc_bias
 
     @property
     def at_limit(self) -> list[bool]:
-        """(n,) whether the servo wants more torque than it may give."""
+        """(n,) whether the servo requests more torque than its limit."""
         wanted: list[bool] = (self.joints.states["overload_s"] > 0.0).tolist()
         return wanted
 
     def follow(self, rows: FloatArray) -> Samples:
-        """Follow rows (N, 3, n) to their end, whatever happens on the way.
+        """Follow the set-points (N, 3, n) to their end, even if faults occur.
 
-        One that has run away comes back as no samples, where it was when the rows began.
+        If the simulation diverges, the function returns no samples, and the arm is back at the
+        position before the first set-point.
         """
         self.faults = {}
         before = self.position
@@ -368,13 +388,13 @@ class PlainServoArm(Simulation):
         return samples
 
     def engage_brakes(self) -> None:
-        """See `Simulation`; what the integrators give is kept for when the brakes open."""
+        """Close the brakes (see `Simulation`), without changing the torques of the integrators."""
         given = self.joints.states["integral"].copy()
         super().engage_brakes()
         self.joints.states["integral"] = given
 
     def _blame(self, fault: int, followed: FloatArray) -> None:
-        """Find the joints; `followed` (n,) is where the arm should be [rad]."""
+        """Record the joints that caused a fault; `followed` (n,) are the set-points [rad]."""
         if fault == FAULT_OVERLOAD:
             overload, limits = self.joints.states["overload_s"], self.joints.servos["limit"]
             for j in np.flatnonzero(overload > OVERLOAD_S):
@@ -387,7 +407,7 @@ class PlainServoArm(Simulation):
         self.faults |= {int(j): TOO_FAR_AWAY for j in np.flatnonzero(away > TRACKING_LIMIT_RAD)}
 
     def _put_back(self, q: FloatArray) -> None:
-        """The simulation has gone wrong: the arm stands at `q` (n,) [rad] again."""
+        """Reset a diverged simulation: the arm stands still at `q` (n,) [rad]."""
         data, states = self.plant.data, self.joints.states
         speed = np.nan_to_num(np.abs(data.qvel), nan=math.inf)
         self.faults[int(speed.argmax())] = TOO_FAR_AWAY
@@ -409,7 +429,7 @@ class PlainServoArm(Simulation):
         return joints
 
     def _attach(self) -> None:
-        """Make the drives' model: rotors without an arm and without gravity."""
+        """Return the model that the drives use: rotors without an arm and without gravity."""
         believed = self._nominal.model
         believed.opt.gravity[:] = 0.0
         believed.body_mass[:] = 0.0

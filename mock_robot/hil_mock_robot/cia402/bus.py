@@ -1,8 +1,8 @@
-"""The drives' end of a CAN bus, and the line of each drive to it.
+"""Connection of the mock drives to a CAN bus, and lines from this connection to each drive.
 
-`end_of` opens a bus: one that the mock hosts between processes (`HubEnd`), or one of python-can
-that is there already (`PythonCanEnd`). `Line` is between one drive and that end: there frames are
-lost, delayed or spoilt by faults.
+`end_of` opens a bus: a bus that the mock hosts between processes (`HubEnd`), or an existing bus of
+python-can (`PythonCanEnd`). `Line` connects one drive to the bus; injected faults make a line lose,
+delay or corrupt frames.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from hil.core import PluginError, RobotConnectionError, SpecError
 HOSTED = "hil_unix"
 
 Send = Callable[[int, bytes], None]
-"""Sends a frame (COB-ID, data) on the bus."""
+"""Function that sends a frame (COB-ID, data) on the bus."""
 
 
 def end_of(
     interface: str, channel: str, bitrate: float | None = None, wire_speed: float | None = None
 ) -> BusEnd:
-    """The drives' end of a bus.
+    """Open the connection of the mock drives to a bus.
 
     Args:
-        interface: `hil_unix`, or an interface of python-can.
-        channel: Its channel.
-        bitrate: Of the bus; on `hil_unix`, what the modelled wire has.
-        wire_speed: Seconds of the modelled wire in one second; 1 when None.
+        interface: Name of the interface: `hil_unix`, or another interface of python-can.
+        channel: Channel of the interface, such as `can0`.
+        bitrate: Bit rate of the bus [bit/s]; on `hil_unix`, bit rate of the modelled wire.
+        wire_speed: Ratio of the time of the modelled wire to wall time; None for 1.
 
     Raises:
-        PluginError: There is no such bus here.
-        SpecError: There is no wire that could be so fast or slow.
+        PluginError: The bus does not exist on this computer.
+        SpecError: Bit rate or speed of the wire is invalid.
     """
     _require_wire(interface, bitrate, wire_speed)
     if interface == HOSTED:
@@ -52,34 +52,34 @@ def end_of(
 
 def _require_wire(interface: str, bitrate: float | None, speed: float | None) -> None:
     if bitrate is not None and not 0 < bitrate < math.inf:
-        raise SpecError(f"--bitrate is {bitrate:g}", hint="give bits per second, such as 1000000")
+        raise SpecError(f"--bitrate is {bitrate:g}", hint="use bits per second, such as 1000000")
     if speed is None:
         return
     if interface != HOSTED or bitrate is None:
         raise SpecError(
             f"--wire-speed {speed:g}: no wire is modelled on {interface}"
-            + ("" if bitrate is None else ", it has its own"),
-            hint=f"give --bitrate as well, on {HOSTED}",
+            + ("" if bitrate is None else ", which has its own wire"),
+            hint=f"use --wire-speed with --bitrate, on {HOSTED}",
         )
     if not 0 < speed < math.inf:
-        raise SpecError(f"--wire-speed is {speed:g}", hint="give what the master has as its pace")
+        raise SpecError(f"--wire-speed is {speed:g}", hint="use the pace of the master")
 
 
 Heard = Callable[[int, bytes, float], None]
-"""COB-ID, data, wall time (monotonic)."""
+"""Callback for a received frame, with COB-ID, data and monotonic wall time [s]."""
 
 FLAGS = EXTENDED | REMOTE | ERROR
 
 
 class Readable(Protocol):
-    """Something `select` can wait for."""
+    """Object on which `select` can wait."""
 
     def fileno(self) -> int:
-        """Of a socket."""
+        """Return the file descriptor of the object."""
 
 
 class BusEnd(Protocol):
-    """Where frames come from and go to; one thread."""
+    """Connection of the drives to a bus; used by one thread."""
 
     where: str
     heard: Heard
@@ -88,25 +88,26 @@ class BusEnd(Protocol):
         """Put a frame on the bus."""
 
     def flush(self) -> None:
-        """See that all which was sent goes now: what follows takes long."""
+        """Send all queued frames before a computation that takes long."""
 
     def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> bool:
-        """Handle frames; wait for one so long, or until one of `others` is readable.
+        """Handle received frames; wait for a frame or until one of `others` is readable.
 
-        Returns whether one of them has.
+        Returns:
+            Whether one of `others` is readable.
 
         Raises:
-            RobotConnectionError: The bus is gone.
+            RobotConnectionError: The connection to the bus is lost.
         """
 
     def bus_off(self) -> None:
-        """Put everybody else who is there now off the bus."""
+        """Put all present participants except the drives off the bus."""
 
     def recover(self) -> None:
-        """Let the drives back onto the bus."""
+        """Put all participants back on the bus."""
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Close the connection of the drives to the bus."""
 
 
 def ignored(can_id: int, data: bytes, now_s: float) -> None:
@@ -114,20 +115,20 @@ def ignored(can_id: int, data: bytes, now_s: float) -> None:
 
 
 class HubEnd:
-    """A bus between processes, hosted by the mock.
+    """Bus between processes, hosted by the mock.
 
     Args:
-        channel: See `hil.can.channels.socket_path`.
-        bitrate: Of the wire, where it is modelled [bit/s].
-        speed: Seconds of that wire in one second of the clock.
+        channel: Name or path of the channel, as in `hil.can.channels.socket_path`.
+        bitrate: Bit rate of the modelled wire [bit/s]; None for no model.
+        speed: Ratio of the time of the modelled wire to the time of the clock.
 
     Attributes:
-        where: The channel, for messages.
-        heard: Called with every frame.
-        hub: The bus.
+        where: Name of the channel, used in messages.
+        heard: Callback for every frame.
+        hub: Hub of the bus.
 
     Raises:
-        PluginError: The channel is taken, or cannot be made.
+        PluginError: The channel is used by another host, or cannot be created.
     """
 
     def __init__(self, channel: str, bitrate: float | None = None, speed: float = 1.0) -> None:
@@ -164,11 +165,11 @@ class HubEnd:
 
 
 def side_path(interface: str, channel: str) -> str:
-    """Where the side channel of such a mock is: beside the socket of its bus.
+    """Return the path of the mock's side channel, beside the socket of its bus.
 
     Args:
-        interface: As of `end_of`.
-        channel: Of the bus.
+        interface: Name of the interface, as in `end_of`.
+        channel: Channel of the bus.
     """
     if interface == HOSTED:
         return os.fspath(socket_path(channel).with_suffix(".side"))
@@ -176,19 +177,20 @@ def side_path(interface: str, channel: str) -> str:
 
 
 BURST = 64
-"""Frames taken at once before the others have their turn."""
+"""Maximum number of frames received before the side channel is served."""
 
 
 class PythonCanEnd:
-    """Any bus of python-can.
+    """Connection of the mock drives to any bus of python-can.
 
     Args:
-        bus: The bus.
-        where: For messages.
+        bus: Bus of python-can.
+        where: Name of the bus, used in messages.
 
     Attributes:
-        where, heard: See `BusEnd`.
-        lost: Frames the bus would not take.
+        where: See `BusEnd`.
+        heard: See `BusEnd`.
+        lost: Number of frames that the bus did not accept.
     """
 
     def __init__(self, bus: can.BusABC, where: str) -> None:
@@ -198,7 +200,7 @@ class PythonCanEnd:
         self.lost = 0
 
     def send(self, can_id: int, data: bytes) -> None:
-        """See `BusEnd`; what the bus does not take is lost, as on a wire nobody listens to."""
+        """Send a frame, which is lost if the bus does not accept it (see `BusEnd`)."""
         if self._off:
             return
         try:
@@ -209,10 +211,10 @@ class PythonCanEnd:
                 print(f"{self.where}: frame lost: {error}", file=sys.stderr)  # noqa: T201
 
     def flush(self) -> None:
-        """See `BusEnd`; nothing is kept here."""
+        """Do nothing, because this class does not queue frames (see `BusEnd`)."""
 
     def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> bool:
-        """See `BusEnd`; it does not wait for `others`."""
+        """Handle received frames without waiting for `others` (see `BusEnd`)."""
         try:
             for _ in range(BURST):
                 message = self._bus.recv(max(0.0, timeout_s))
@@ -222,12 +224,12 @@ class PythonCanEnd:
                 timeout_s = 0.0
         except can.CanError as error:
             raise RobotConnectionError(
-                f"{self.where} is gone: {error}", hint="is the interface still up?"
+                f"{self.where} is lost: {error}", hint="check that the interface is up"
             ) from error
         return False
 
     def bus_off(self) -> None:
-        """See `BusEnd`: an error frame, then silence both ways."""
+        """Send an error frame, then ignore all frames in both directions (see `BusEnd`)."""
         with contextlib.suppress(can.CanError):
             self._bus.send(can.Message(arbitration_id=ERROR_BUS_OFF, is_error_frame=True, dlc=8))
         self._off = True
@@ -247,10 +249,10 @@ class PythonCanEnd:
 
 
 def open_end(interface: str, channel: str, bitrate: float | None) -> PythonCanEnd:
-    """Join a bus.
+    """Open a bus of python-can.
 
     Raises:
-        PluginError: There is no such bus here.
+        PluginError: The bus does not exist on this computer.
     """
     more: dict[str, Any] = {} if bitrate is None else {"bitrate": round(bitrate)}
     where = f"{interface} channel {channel}"
@@ -259,7 +261,7 @@ def open_end(interface: str, channel: str, bitrate: float | None) -> PythonCanEn
     except (can.CanError, OSError, ValueError, TypeError, NotImplementedError) as error:
         raise PluginError(
             f"{where} cannot be opened: {error}",
-            hint="is the interface up? hil_unix needs no hardware and no kernel module",
+            hint="check that the interface is up; hil_unix needs no hardware and no kernel module",
         ) from error
 
 
@@ -267,7 +269,7 @@ TPDOS = (0x180, 0x280, 0x380, 0x480)
 SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
 
 DOWNLOAD, UPLOAD = 1, 2
-"""Commands that begin an SDO transfer, in the three upper bits of its first byte."""
+"""Command specifiers (upper three bits of the first byte) that begin an SDO transfer."""
 
 ABORT = struct.Struct("<BHBI")
 ABORTED = 0x80
@@ -275,25 +277,25 @@ NOT_MAPPABLE = 0x0604_0041
 MOST_BYTES = 8
 
 Refusal = Callable[[int, int, int], int]
-"""From command, index and sub-index to an abort code; 0 lets the request pass."""
+"""Function that returns an abort code for an SDO request, or 0 to accept the request."""
 
 
 class Line:
-    """The connection between one drive and the bus.
+    """Connection between one drive and the bus, which injected faults can disturb.
 
     Args:
-        node_id: Of the drive.
-        put: Puts a frame on the bus.
+        node_id: Node id of the drive.
+        put: Function that puts a frame on the bus.
 
     Attributes:
-        sound: Whether nothing is wrong: frames pass as they are.
-        cuts: Why nothing passes, either way.
-        mute: Its heartbeats are lost.
-        refusals: Answers to SDO requests that do not reach the drive.
-        unheard: SDO requests are lost.
-        late_steps: How late TPDOs come, in steps of device time.
-        owed: `lost_frames` or `wrong_length` → how many of the next TPDOs suffer from it.
-        by_bytes: How much too long those of the wrong length are.
+        sound: Whether no fault is active, so that frames pass unchanged.
+        cuts: Set of reasons why no frame passes in either direction; empty if frames pass.
+        mute: Whether the heartbeats of the drive are lost.
+        refusals: Functions that answer SDO requests instead of the drive.
+        unheard: Whether SDO requests to the drive are lost.
+        late_steps: Delay of the drive's TPDOs in steps of device time.
+        owed: Number of the next TPDOs that `lost_frames` or `wrong_length` affects, by kind.
+        by_bytes: Number of bytes by which TPDOs with a wrong length are too long.
     """
 
     def __init__(self, node_id: int, put: Send) -> None:
@@ -310,12 +312,12 @@ class Line:
         self.by_bytes = 0
 
     def look(self) -> None:
-        """See whether anything is wrong, after an attribute was changed."""
+        """Update the attribute `sound` after a change of another attribute."""
         wrong = self.cuts or self.mute or self.unheard or self.refusals or self.late_steps
         self.sound = not (wrong or self._held or any(self.owed.values()))
 
     def send(self, can_id: int, data: bytes) -> None:
-        """From the drive to the bus."""
+        """Send a frame from the drive to the bus."""
         if self.sound:
             self._put(can_id, data)
         elif self.cuts or (self.mute and can_id == HEARTBEAT + self._node_id):
@@ -326,7 +328,7 @@ class Line:
             self._put(can_id, data)
 
     def passes(self, can_id: int, data: bytes) -> bool:
-        """Return whether the drive gets a frame of the bus; a refusal is sent in its place."""
+        """Return whether a frame of the bus reaches the drive; send a refusal of SDO requests."""
         if self.sound:
             return True
         if self.cuts:
@@ -336,11 +338,11 @@ class Line:
         return not self.unheard and not self._refused(data)
 
     def passed(self, steps: int) -> None:
-        """Device time has passed."""
+        """Advance device time by a number of steps."""
         self._steps += steps
 
     def release(self) -> None:
-        """Send delayed frames that are due."""
+        """Send the delayed frames that are due."""
         while self._held and self._held[0][0] <= self._steps:
             _, can_id, data = self._held.popleft()
             if not self.cuts:
@@ -373,13 +375,13 @@ class Line:
 
 
 def refused_mapping(command: int, index: int, sub: int) -> int:
-    """Refuse writes to the mapping, as a drive with fixed process data does."""
+    """Return the abort code for a write to the PDO mapping of fixed process data; else 0."""
     laid_out = 0x1600 <= index <= 0x17FF or 0x1A00 <= index <= 0x1BFF
     return NOT_MAPPABLE if command == DOWNLOAD and laid_out and sub else 0
 
 
 def refused_object(wanted: int, code: int) -> Refusal:
-    """Every transfer of an object, or of all for 0, ends with an abort code."""
+    """Return a function that refuses all transfers of an object, or of all objects for 0."""
 
     def refusal(command: int, index: int, sub: int) -> int:
         begins = command in (DOWNLOAD, UPLOAD)

@@ -1,8 +1,9 @@
-"""The object dictionary of one drive: the table of its objects, and what is made of the table.
+"""Object dictionary of one mock drive: table of the objects, and formats derived from it.
 
-`Object` and `Group` describe one entry; `COMMUNICATION` (CiA 301), `VENDOR` and `DRIVE` (CiA 402)
-are the table. `registers_of` gives the values after power-on for the drive of one joint,
-`object_dictionary` the same for the `canopen` library, and `eds_of` an EDS file for other tools.
+`Object` and `Group` describe one entry of the dictionary. The table of objects consists of
+`COMMUNICATION` (CiA 301), `VENDOR` and `DRIVE` (CiA 402). `registers_of` returns the values after
+power-on for the drive of one joint. `object_dictionary` returns the dictionary for the `canopen`
+library, and `eds_of` returns an EDS file for other tools.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from hil_mock_robot.cia402.keys import Registers, key
 Value = int | float | str
 
 CODES = {"i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I", "f32": "I"}
-"""`struct` codes of what is kept in `Registers`: REAL32 as its 32 bits."""
+"""`struct` code of each data type in `Registers`; a REAL32 is stored as its 32 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,19 +35,25 @@ class Object:
     """One variable of the object dictionary.
 
     Attributes:
-        index, sub, name: Where it is, and what it is called.
-        type: One of `CODES`, `text` or `domain`; the last two are not kept in `Registers`.
-        access: `rw`, `ro`, `wo` or `const`.
-        default: After a reset, unless the axis has a value of its own.
-        mappable: Whether a PDO may carry it.
-        low, high: Range of what may be written; the type's own without.
-        choices: Permitted values, where they are not a range.
-        unit: As in the standard's texts; empty where there is none.
-        locked: It cannot be written while the drive works.
-        stays: Whether a reset leaves it: it is a fact of the machine, not a setting.
-        per_axis: The default stands for a value that depends on the axis.
-        node_relative: The node's id is added to the default.
-        note: Remark beyond the name.
+        index: Index of the object.
+        sub: Sub-index of the object.
+        name: Name of the object.
+        type: Data type: a key of `CODES`, `text` or `domain`. Values of type `text` and `domain`
+            are not stored in `Registers`.
+        access: Access type: `rw`, `ro`, `wo` or `const`.
+        default: Value after a reset, unless the value depends on the axis.
+        mappable: Whether a PDO can contain the object.
+        low: Minimum value that can be written; None for the minimum of the data type.
+        high: Maximum value that can be written; None for the maximum of the data type.
+        choices: Permitted values of an object whose values are not a range.
+        unit: Unit as in the standard; empty for a value without a unit.
+        locked: Whether the object cannot be written in the states operation enabled, quick stop
+            active and fault reaction active.
+        stays: Whether a reset keeps the value, because the value is a property of the machine and
+            not a setting.
+        per_axis: Whether the value after a reset depends on the axis.
+        node_relative: Whether the node id is added to the default.
+        note: Remark in addition to the name.
     """
 
     index: int
@@ -68,31 +75,31 @@ class Object:
 
     @property
     def key(self) -> int:
-        """Where it is in `Registers`."""
+        """Key of the object's value in `Registers`."""
         return key(self.index, self.sub)
 
     @property
     def readable(self) -> bool:
-        """Whether an SDO client may read it, and a TPDO carry it."""
+        """Whether an SDO client can read the object, and a TPDO can contain the object."""
         return self.access != "wo"
 
     @property
     def writable(self) -> bool:
-        """Whether an SDO client may write it, and an RPDO carry it."""
+        """Whether an SDO client can write the object, and an RPDO can contain the object."""
         return self.access in ("rw", "wo")
 
     @property
     def packing(self) -> struct.Struct:
-        """Format of its value in `Registers` for `struct`."""
+        """`struct` layout of the object's value in `Registers`."""
         return struct.Struct("<" + CODES[self.type])
 
     @property
     def bits(self) -> int:
-        """Length in a PDO."""
+        """Length of the object's value in a PDO [bits]."""
         return 8 * self.packing.size
 
     def allows(self, value: float) -> bool:
-        """Whether a client may write this (NaN never)."""
+        """Return whether a client can write a value to the object; never for NaN."""
         if self.choices:
             return value in self.choices
         low, high = self.low, self.high
@@ -103,12 +110,14 @@ class Object:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """An object with sub-indices.
+    """Object with sub-indices.
 
     Attributes:
-        index, name: Where it is, and what it is called.
-        members: In the order of their sub-indices; the first tells how many follow.
-        array: All members but the first are of one kind.
+        index: Index of the object.
+        name: Name of the object.
+        members: Sub-objects in the order of their sub-indices; the first sub-object contains the
+            highest sub-index.
+        array: Whether all members except the first have the same type.
     """
 
     index: int
@@ -118,13 +127,13 @@ class Group:
 
 
 def group(index: int, name: str, members: Iterable[Object], *, array: bool = False) -> Group:
-    """Return a group of members that have their sub-indices; sub-index 0 is put before them.
+    """Return a group of members with their sub-indices, preceded by sub-index 0.
 
     Args:
-        index: Of the group and of its members, in place of their own.
-        name: Of the group.
-        members: In the order of their sub-indices.
-        array: All members are of one kind.
+        index: Index of the group, which replaces the index of the members.
+        name: Name of the group.
+        members: Members in the order of their sub-indices.
+        array: Whether all members have the same type.
     """
     placed = tuple(replace(member, index=index) for member in members)
     first = Object(index, 0, "Highest sub-index supported", "u8", "const", placed[-1].sub)
@@ -132,20 +141,20 @@ def group(index: int, name: str, members: Iterable[Object], *, array: bool = Fal
 
 
 def real(raw: int) -> float:
-    """The number that REAL32 keeps as 32 bits."""
+    """Return the number that the 32 bits of a REAL32 encode."""
     return float(struct.unpack("<f", struct.pack("<I", raw & 0xFFFF_FFFF))[0])
 
 
 def raw_real(value: float) -> int:
-    """The 32 bits of a REAL32."""
+    """Return the 32 bits that encode a number as REAL32."""
     return int(struct.unpack("<I", struct.pack("<f", value))[0])
 
 
 DEVICE_TYPE = 0x0002_0192
-"""Servo drive of profile 402."""
+"""Device type of a servo drive of profile 402."""
 
 NOT_VALID, NO_RTR = 1 << 31, 1 << 30
-"""Bits of a PDO's COB-ID."""
+"""Bits in the COB-ID of a PDO: the PDO is invalid, remote frames are not permitted."""
 
 N_PDOS = 4
 N_MAPPED = 8
@@ -153,13 +162,17 @@ RPDO_PARAMETERS, RPDO_MAPPING, TPDO_PARAMETERS, TPDO_MAPPING = 0x1400, 0x1600, 0
 EVENT_DRIVEN = 255
 
 TRANSMISSION_TYPES = (*range(241), 254, 255)
-"""241 to 251 are reserved, 252 and 253 go by remote frames, which these drives do not know."""
+"""Valid transmission types of PDOs.
+
+The types 241 to 251 are reserved. The types 252 and 253 use remote frames, which the mock drives do
+not support.
+"""
 
 HISTORY = 8
-"""Errors kept in 1003h."""
+"""Maximum number of errors in the error list (1003h)."""
 
 N_CONSUMED = 2
-"""Producers that 1016h can watch."""
+"""Number of heartbeat producers that 1016h can monitor."""
 
 _CONTROLWORD, _MODE, _TARGET_POSITION, _TARGET_VELOCITY = (
     0x6040_0010, 0x6060_0008, 0x607A_0020, 0x60FF_0020,
@@ -182,15 +195,15 @@ TPDO_DEFAULTS = (
     (_STATUSWORD, _POSITION_ACTUAL),
     (_STATUSWORD, _VELOCITY_ACTUAL),
 )
-"""Generic PDOs of CiA 402; the first of each direction is valid from the start."""
+"""Generic PDOs of CiA 402; after a reset only the first PDO of each direction is valid."""
 
 _ERRORS = Group(
     0x1003,
     "Pre-defined error field",
     (
-        Object(0x1003, 0, "Number of errors", "u8", choices=(0,), note="writing 0 clears them"),
+        Object(0x1003, 0, "Number of errors", "u8", choices=(0,), note="0 clears the errors"),
         *(
-            Object(0x1003, sub, f"Error {sub}", "u32", "ro", note="code; the newest first")
+            Object(0x1003, sub, f"Error {sub}", "u32", "ro", note="error code, newest first")
             for sub in range(1, HISTORY + 1)
         ),
     ),
@@ -211,7 +224,7 @@ _IDENTITY = group(
     0x1018,
     "Identity",
     [
-        Object(0, 1, "Vendor-ID", "u32", "ro", 0, note="nobody's: a simulated drive"),
+        Object(0, 1, "Vendor-ID", "u32", "ro", 0, note="no vendor: a simulated drive"),
         Object(0, 2, "Product code", "u32", "ro", 0x402),
         Object(0, 3, "Revision number", "u32", "ro", 0x0001_0000),
         Object(0, 4, "Serial number", "u32", "ro", 1, per_axis=True),
@@ -292,16 +305,16 @@ COMMUNICATION: tuple[Object | Group, ...] = (
 PP, HM, CSP, CSV, CST = 1, 6, 8, 9, 10
 
 MODES = (0, PP, HM, CSP, CSV, CST)
-"""Modes of operation that 6060h takes; 0 is none."""
+"""Modes of operation that 6060h accepts; 0 means no mode."""
 
 SUPPORTED_MODES = 1 << 0 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 9
-"""Bits of 6502h: profile position, homing, cyclic synchronous position, velocity, torque."""
+"""Bits of 6502h for profile position, homing, and cyclic synchronous position/velocity/torque."""
 
 HOMING_METHODS = (0, 35, 37)
-"""None; where it stands is home (35 is the older number of 37)."""
+"""Homing methods: no homing, or home at the present position (35 is the older number of 37)."""
 
 OVERLOAD = 2100
-"""Peak torque and current of the drives [‰ of rated]."""
+"""Peak torque and peak current of the drives [‰ of the rated values]."""
 
 _PAYLOAD = group(
     0x2100,
@@ -328,7 +341,7 @@ _measured = partial(Object, access="ro", mappable=True, stays=True)
 
 VENDOR: tuple[Object | Group, ...] = (
     _PAYLOAD,
-    Object(0x2101, 0, "Simulated error", "u16", "wo", low=1, note="code of an error: it occurs"),
+    Object(0x2101, 0, "Simulated error", "u16", "wo", low=1, note="a code causes its error"),
     _measured(0x2110, 0, "Motor temperature", "i16", default=250, unit="0.1 °C"),
 )
 
@@ -479,46 +492,46 @@ DRIVE: tuple[Object | Group, ...] = (
 TABLE: tuple[Object | Group, ...] = COMMUNICATION + VENDOR + DRIVE
 
 ENCODER_INCREMENTS = 1 << 20
-"""Per motor revolution."""
+"""Encoder increments per motor revolution."""
 
 PEAK_TO_RATED = 2.1
-"""Joint torque limit of the arm to the motor's rated torque at the joint."""
+"""Ratio of the arm's joint torque limit to the motor's rated torque at the joint."""
 
 FOLLOWING_ERROR_RAD = np.radians(5.0)
 POSITION_WINDOW_RAD = np.radians(0.02)
 
 PROFILE_SHARE = 0.25
-"""Of the joint's speed and acceleration: what point-to-point moves begin with."""
+"""Default speed and acceleration of point-to-point motions, as a share of the joint's maximum."""
 
 SERIALS = 402_000
-"""Serial numbers count on from here."""
+"""Serial number to which the number of the joint (from 1) is added."""
 
 
 def variables() -> Iterator[Object]:
-    """All variables, members of groups among them."""
+    """Yield all variables, including the members of groups."""
     for part in TABLE:
         yield from part.members if isinstance(part, Group) else (part,)
 
 
 @cache
 def by_key() -> Mapping[int, Object]:
-    """All variables by their key in `Registers`."""
+    """Return all variables by their key in `Registers`."""
     return {entry.key: entry for entry in variables()}
 
 
 @cache
 def indices() -> frozenset[int]:
-    """All indices of the dictionary."""
+    """Return the indices of all objects in the dictionary."""
     return frozenset(part.index for part in TABLE)
 
 
 def registers_of(arm: ArmDescription, joint: int) -> Registers:
-    """All objects of the drive of a joint (from 0) as they are after power-on.
+    """Return the values of all objects of a joint's drive after power-on; joints count from 0.
 
-    Drive of the joint: 2^20 increments a motor revolution (608Fh), gear in 6091h, rated torque =
-    effort_max / gear / 2.1 [mN·m], rated current = rated torque / (drive_gain / gear) [mA], limits
-    607Dh from q_min and q_max, velocity in increments/s. COB-IDs lack the node's id: the node
-    adds it.
+    The following values depend on the joint: 2^20 increments per motor revolution (608Fh), gear in
+    6091h, rated torque = effort_max / gear / 2.1 [mN·m], rated current = rated torque / (drive_gain
+    / gear) [mA], limits 607Dh from q_min and q_max, velocity in increments/s. The COB-IDs do not
+    include the node id, which the node adds.
     """
     registers = {
         entry.key: raw_of(entry, entry.default) for entry in variables() if entry.type in CODES
@@ -527,7 +540,7 @@ def registers_of(arm: ArmDescription, joint: int) -> Registers:
 
 
 def _axis(arm: ArmDescription, joint: int) -> Registers:
-    """Return the values that depend on the joint."""
+    """Return the values of the objects that depend on the joint."""
     scale = increments_per_rad(arm, joint)
     gear = float(arm.gear_ratio[joint])
     rated_nm = float(arm.effort_max[joint]) / gear / PEAK_TO_RATED
@@ -556,13 +569,13 @@ def _axis(arm: ArmDescription, joint: int) -> Registers:
 
 
 def raw_of(entry: Object, value: object) -> int:
-    """Return the value in `Registers` for a number."""
+    """Return the raw integer with which `Registers` stores a number."""
     assert isinstance(value, int | float)
     return raw_real(value) if entry.type == "f32" else int(value)
 
 
 def increments_per_rad(arm: ArmDescription, joint: int) -> float:
-    """Encoder increments of the motor per radian of the joint."""
+    """Return the motor's encoder increments per radian of the joint."""
     return float(ENCODER_INCREMENTS * arm.gear_ratio[joint] / (2 * np.pi))
 
 
@@ -582,11 +595,11 @@ BIT_RATES = (125_000, 250_000, 500_000, 1_000_000)
 
 
 def object_dictionary(node_id: int, registers: Registers) -> canopen.ObjectDictionary:
-    """Return the dictionary of one drive; its defaults are the present registers.
+    """Return the dictionary of one drive, with the present registers as defaults.
 
     Args:
-        node_id: 1 to 127.
-        registers: As `registers_of` returned them, COB-IDs without the node's id.
+        node_id: Node id, 1 to 127.
+        registers: Registers from `registers_of`, with COB-IDs without the node id.
     """
     dictionary: canopen.ObjectDictionary = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
     dictionary.node_id = node_id
@@ -634,7 +647,7 @@ def _default(entry: Object, node_id: int, registers: Registers) -> Any:
 
 
 def _written(entry: Object, raw: int) -> str:
-    """As in an EDS; the library's own spelling of negative numbers cannot be read back."""
+    """Return a value in EDS notation, because the library cannot read its own negative numbers."""
     if entry.node_relative:
         return f"$NODEID+0x{raw:X}"
     if entry.type == "f32":
@@ -646,16 +659,16 @@ _DATES = {
     "CreationDate": "01-01-2026", "CreationTime": "12:00AM",
     "ModificationDate": "01-01-2026", "ModificationTime": "12:00AM", "EDSVersion": "4.0",
 }  # fmt: skip
-"""The same dictionary is the same file, whenever it is written."""
+"""Fixed dates for EDS files, so that equal dictionaries give equal files."""
 
 
 def eds_of(dictionary: canopen.ObjectDictionary) -> bytes:
-    """An EDS file in ASCII."""
+    """Return an EDS file for the dictionary of one drive, as ASCII bytes."""
     from canopen.objectdictionary.eds import export_eds
 
     text = io.StringIO()
     with warnings.catch_warnings():
-        # The library asks for the time in a way that Python 3.12 and later warn about.
+        # The library uses a time function that is deprecated since Python 3.12.
         warnings.simplefilter("ignore", DeprecationWarning)
         export_eds(dictionary, text, dict(_DATES))  # type: ignore[no-untyped-call]
     return text.getvalue().encode("ascii")

@@ -1,9 +1,10 @@
-"""One drive: controlword and set-points in, demands on its motor and what it measures out.
+"""Mock drive, whose inputs are controlword and set-points and whose outputs are motor demands.
 
-A drive lives on its registers (`keys.Registers`) and has no bus. The order within one SYNC is:
-RPDOs into the registers and TPDOs out of them (the node), then `Drive.advance` of all drives, one
-`Body.advance`, then `Drive.measured` of all drives. `Watch` and `SyncWatch` are what an enabled
-drive monitors on its own: following error, speed, temperature, and a SYNC that stays away.
+A drive reads and writes its registers (`keys.Registers`) and does not access the bus. At each SYNC
+the calls have this order: the node writes RPDOs into the registers and sends TPDOs from them, then
+`Drive.advance` of all drives, one `Body.advance`, then `Drive.measured` of all drives. `Watch`
+monitors following error, speed and temperature of an enabled drive; `SyncWatch` monitors missing
+SYNCs.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from hil_mock_robot.cia402.power import (
 )
 
 Emergency = Callable[[int, int], None]
-"""Told an EMCY code (0: no error any more) and the bits of 1001h that belong to it."""
+"""Callback for an EMCY code (0 if all errors are gone) and the error's bits in 1001h."""
 
 SYNC_LOST = 0x8700
 RHYTHM = (keys.INTERPOLATION_VALUE, keys.INTERPOLATION_INDEX)
@@ -38,20 +39,22 @@ TOO_HOT, TOO_FAST, TOO_FAR = 0x4310, 0x8400, 0x8611
 
 
 class Drive:
-    """One axis of the arm; times are device time, counted by the steps of `advance`.
+    """One drive of the arm; device time is counted by the steps of `advance`.
 
-    It reads what the master writes, and writes what it measures (see `readings`), 6041h and 6061h.
-    603Fh, 1001h and 1003h are the node's.
+    A drive reads the objects that the master has written. A drive writes its measurements (see
+    `axis.write_readings`) and the objects 6041h and 6061h. The node of the drive, and not the drive
+    itself, writes 603Fh, 1001h and 1003h.
 
     Args:
-        registers: Its live objects.
-        joint: See `joints_of`.
-        emergency: Called when a fault comes and when it is reset.
+        registers: Live objects of the drive.
+        joint: Properties of the joint, from `joints_of`.
+        emergency: Callback for the occurrence of a fault and for its reset.
 
     Attributes:
-        registers, joint: As given.
-        operation: The mode in which it operates.
-        connection: To its master.
+        registers: Live objects of the drive.
+        joint: Properties of the joint.
+        operation: Present mode of operation.
+        connection: Reaction of the drive to the loss of the master.
     """
 
     def __init__(self, registers: Registers, joint: Joint, emergency: Emergency) -> None:
@@ -66,18 +69,18 @@ class Drive:
 
     @property
     def period_s(self) -> float:
-        """Time from SYNC to SYNC as a client has set it (60C2h, 1006h); 0 if none has [s]."""
+        """Time from SYNC to SYNC that a client has set (60C2h, 1006h) [s]; 0 if no time is set."""
         axis = self._axis
         is_set = axis.rhythm_set or self.registers[keys.CYCLE_PERIOD]
         return axis.period_steps * STEP_S if is_set else 0.0
 
     @property
     def state(self) -> State:
-        """Of the power state machine."""
+        """State of the power state machine."""
         return self._power.state
 
     def reset(self) -> None:
-        """Switched off and on: the brake closes, faults are forgotten; NMT reset node."""
+        """Reset the drive, as power off and on or NMT reset node does: brake closed, no faults."""
         axis = self._axis
         axis.shift = axis.slipped = 0
         axis.rhythm_set = False
@@ -88,22 +91,23 @@ class Drive:
         self._limited = self._restarts = False
         self._watch.reset()
         self._power.switch_off()
-        self._tell()
+        self._write_statusword()
 
     def written(self, where: int) -> None:
-        """An object (`key`) was written by SDO; controlword, mode and scaling act at once."""
+        """React to an SDO write of the object `key`; controlword, mode and scaling act at once."""
         if where in SCALING and not self._power.powered:
             self._axis.rescale()
         if where in RHYTHM:
             self._axis.rhythm_set = True
         self.obey()
-        self._tell()
+        self._write_statusword()
 
     def obey(self) -> None:
-        """Take over controlword and mode as they stand: RPDOs have come, or steps begin.
+        """Apply controlword and mode, after RPDOs were received or before the next steps.
 
-        Each controlword is looked at, so that one that stands for less than a step counts; what
-        becomes of it is in the statusword after the next steps.
+        Every received controlword is evaluated, so that a controlword that is replaced within one
+        step also has an effect. The statusword shows the effect of the controlword after the next
+        steps.
         """
         power = self._power
         if self._restarts:
@@ -119,9 +123,10 @@ class Drive:
         """Return the demand on the motor for the next steps of `STEP_S`.
 
         Args:
-            steps: At least 1.
-            synced: A SYNC begins them; False when the drives' own timer makes them.
-            missed: How many SYNCs in a row brought no set-point, where RPDOs bring them.
+            steps: Number of steps of `STEP_S`, at least 1.
+            synced: Whether a SYNC begins the steps; False if the drives' own timer begins the
+                steps.
+            missed: Number of consecutive SYNCs without a set-point, if RPDOs send set-points.
         """
         self.obey()
         axis, power = self._axis, self._power
@@ -139,7 +144,7 @@ class Drive:
         return power.without(steps)
 
     def measured(self, measured: Measured, steps: int = 0) -> None:
-        """Write measurements after those steps (0: at switching on) to the registers."""
+        """Write the measurements after `steps` steps to the registers; 0 steps at switching on."""
         axis, power = self._axis, self._power
         axis.q, axis.qd = measured.q, measured.qd
         stopping, powered = power.stop is not None, power.powered
@@ -157,12 +162,12 @@ class Drive:
         elif power.state is State.NOT_READY_TO_SWITCH_ON:
             power.enter(State.SWITCH_ON_DISABLED)
         self._limited = axis.limited or (measured.limited and powered)
-        self._tell()
+        self._write_statusword()
 
     def fault(self, code: int) -> None:
-        """Something is wrong (an EMCY code): fault reaction by 605Eh, then fault.
+        """Start the fault reaction (605Eh) for an EMCY code, after which the drive enters fault.
 
-        Without effect while there is a fault already, and for 0.
+        `fault` has no effect for code 0, and while a fault is present.
         """
         axis, power = self._axis, self._power
         if not code or power.state in FAULTED:
@@ -170,19 +175,19 @@ class Drive:
         powered = power.powered
         power.enter(State.FAULT_REACTION_ACTIVE)
         self._emergency(code, bits_of(code))
-        if code == TOO_FAR:  # the set-point is where the joint is not
+        if code == TOO_FAR:  # the set-point is away from the joint
             axis.demand_q, axis.demand_qd = axis.q, axis.qd
         power.react(powered)
-        self._tell()
+        self._write_statusword()
 
     def slip(self) -> None:
-        """Its set-point jumps out of the window around the joint (injected): 8611h."""
+        """Inject a jump of the set-point out of the following error window (fault 8611h)."""
         if self._power.state not in FAULTED:
             self._watch.slip()
             self.fault(TOO_FAR)
 
     def restart(self) -> None:
-        """NMT reset node: `reset`, but a joint that is being stopped is brought to rest first."""
+        """Execute NMT reset node: call `reset`, after a joint that is being stopped is at rest."""
         stops = self._power.powered and self._power.stop is not None
         self._restarts = stops and abs(self._axis.qd) > AT_REST_RAD_S
         if not self._restarts:
@@ -194,7 +199,7 @@ class Drive:
         self.operation.begin()
 
     def _fault_reset(self) -> bool:
-        """A master resets the fault; whether its cause is gone."""
+        """Reset the fault at the request of a master; return whether its cause is gone."""
         if self._watch.hot:
             return False
         self._watch.reset()
@@ -202,7 +207,7 @@ class Drive:
         self._emergency(0, 0)
         return True
 
-    def _tell(self) -> None:
+    def _write_statusword(self) -> None:
         """Write the statusword."""
         power = self._power
         bits = 0
@@ -215,19 +220,20 @@ class Drive:
 WARM_C, HOT_C = 80.0, 110.0
 
 OVERSPEED = 1.3
-"""Of the joint's highest speed."""
+"""Speed from which a drive enters fault, as a multiple of the joint's maximum speed."""
 
 NO_WINDOW = 0xFFFF_FFFF
 LEAST_SLIP_RAD, MOST_SLIP = 0.2, 1 << 30
 
 
 class Watch:
-    """The watch on one axis.
+    """Monitor of one axis for following error, speed and temperature.
 
     Attributes:
-        too_far: The following error is outside its window (bit 13), or was when it tripped.
-        warns: The motor is warm (bit 7).
-        hot: It is too hot.
+        too_far: Whether the following error is or was outside its window (bit 13 of the
+            statusword).
+        warns: Whether the motor is so warm that bit 7 of the statusword is set.
+        hot: Whether the motor is so hot that the drive must enter fault.
     """
 
     def __init__(self, axis: Axis) -> None:
@@ -237,15 +243,15 @@ class Watch:
 
     @property
     def status_bits(self) -> int:
-        """Bits 7 and 13 of the statusword."""
+        """Bits 7 and 13 of the statusword, which show the warnings."""
         return WARNING * self.warns | MODE_BIT_13 * self.too_far
 
     def reset(self) -> None:
-        """Forget what was."""
+        """Clear the record of a following error."""
         self.too_far, self._away = False, 0
 
     def slip(self) -> None:
-        """The set-point jumps out of the window around the joint (injected)."""
+        """Inject a jump of the set-point out of the following error window."""
         axis = self._axis
         window, least = axis.registers[keys.FOLLOWING_ERROR_WINDOW], LEAST_SLIP_RAD * axis.counts
         far = 0 if window == NO_WINDOW else min(2 * window, MOST_SLIP)
@@ -253,16 +259,16 @@ class Watch:
         self.too_far = True
 
     def feel(self, celsius: float) -> None:
-        """The motor is so warm [°C], whether it has power or not."""
+        """Update the warnings from the motor temperature [°C], with or without power."""
         self.warns, self.hot = celsius >= WARM_C, celsius >= HOT_C
 
     def look(self, error: int, measured: Measured, steps: int) -> int:
-        """Return the EMCY code of an axis with power, or 0.
+        """Return the EMCY code of a powered axis; 0 if there is no fault.
 
         Args:
-            error: Following error [increments]; 0 where it does not matter.
-            measured: After the last steps.
-            steps: How many they were.
+            error: Following error [increments]; 0 if the following error is not monitored.
+            measured: Measurements after the last steps.
+            steps: Number of steps since the last call.
         """
         if self.hot:
             return TOO_HOT
@@ -282,29 +288,30 @@ class Watch:
 
 
 SYNC_LOST_STEPS = 100
-"""Device time without SYNC that a cyclic mode survives."""
+"""Number of steps without SYNC after which a drive in a cyclic mode enters fault."""
 
 
 class SyncWatch:
-    """Counts the steps without SYNC, and sees whether the set-point leaves its path meanwhile."""
+    """Monitor of SYNC, which counts steps without SYNC and detects set-points off their path."""
 
     def __init__(self, axis: Axis) -> None:
         self._axis = axis
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was."""
+        """Clear all counts."""
         self._unsynced, self._strayed = 0, False
 
     def look(self, steps: int, *, synced: bool, cyclic: bool) -> bool:
-        """Whether it is an error: SYNC stays away too long, or is back after the set-point left.
+        """Return whether SYNC is missing too long, or returns when the set-point is off its path.
 
-        It would jump onto its path again; as it is, it comes to rest along a ramp.
+        While SYNC is missing, the set-point comes to rest along a ramp. If SYNC returned after
+        that, the set-point would jump back onto its path.
 
         Args:
-            steps: That begin now.
-            synced: A SYNC begins them.
-            cyclic: The axis is enabled in a mode that needs SYNC.
+            steps: Number of steps that begin with the call.
+            synced: Whether a SYNC begins the steps.
+            cyclic: Whether the axis is enabled in a mode that needs SYNC.
         """
         self._unsynced = 0 if synced else self._unsynced + steps
         error = cyclic and (self._strayed if synced else self._unsynced > SYNC_LOST_STEPS)

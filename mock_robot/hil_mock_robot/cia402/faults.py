@@ -1,7 +1,7 @@
-"""Faults of the mock drives, one class each (docs/reference/mock-can-faults.md).
+"""Faults that the mock drives can inject, one class per fault (mock-can-faults.md).
 
-Most strike one axis or all of them: their `strike` and `heal` see one drive. `bus_off` can strike
-the master's end of the bus instead.
+Most faults act on one axis or on all axes: `strike` and `heal` begin and end the fault in one
+drive. `bus_off` can act on the master's side of the bus instead.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ EVERY_MODE = frozenset(range(-128, 128))
 
 
 class MasterEnd(Protocol):
-    """The other end of the bus."""
+    """Interface to the participants on the master's side of the bus."""
 
     def bus_off(self) -> None:
-        """Put everybody who is on the bus now, but the drives, off it."""
+        """Put all participants that are present, except the drives, off the bus."""
 
     def recover(self) -> None:
-        """Let the drives back onto the bus."""
+        """Put all participants except the drives back on the bus."""
 
 
 class Target(NamedTuple):
-    """The parts of the mock that faults act on."""
+    """Parts of the mock on which faults act."""
 
     station: Station
     master: MasterEnd
@@ -45,7 +45,7 @@ def _is_axis(given: Any) -> bool:
 
 
 class CanFault(Fault[Target], counted=("motion",), example="{kind: heartbeat_loss, at_s: 2.0}"):
-    """A fault of one axis, counted from 1, or of `all`; of the `master` for `bus_off` only."""
+    """Fault of one axis (from 1) or of `all` axes; for `bus_off` also of the `master`."""
 
     motion: int | None = count(None)
     axis: int | str = choice(2, _is_axis, "a number from 1, all, or master (bus_off only)")
@@ -56,10 +56,10 @@ class CanFault(Fault[Target], counted=("motion",), example="{kind: heartbeat_los
         if isinstance(self.axis, int) and self.axis > axes:
             raise CommandRefused(f"{where}: axis is {self.axis}", hint=f"there are {axes} axes")
         if self.axis == MASTER and not isinstance(self, BusOff):
-            raise SpecError(f"{where}: axis is master", hint="only bus_off strikes the master")
+            raise SpecError(f"{where}: axis is master", hint="only bus_off affects the master")
 
     def axes(self, station: Station) -> tuple[Unit, ...]:
-        """The drives that it strikes."""
+        """Return the drives on which the fault acts."""
         if isinstance(self.axis, int):
             return station.axes[self.axis - 1 : self.axis]
         return station.axes if self.axis == ALL else ()
@@ -80,11 +80,11 @@ class CanFault(Fault[Target], counted=("motion",), example="{kind: heartbeat_los
         """Begin the fault in one drive."""
 
     def heal(self, unit: Unit) -> None:
-        """One drive has it no longer."""
+        """End the fault in one drive."""
 
 
 class Emergency(CanFault, kind="emergency"):
-    """The drive fails with an error code of its own."""
+    """Fault reaction of the drive with a selectable error code."""
 
     code: int = number(0xFF01, 1, 0xFFFF, "an error code, 0x0001 to 0xFFFF", whole=True)
 
@@ -93,21 +93,21 @@ class Emergency(CanFault, kind="emergency"):
 
 
 class FollowingError(CanFault, kind="following_error"):
-    """The set-point jumps out of the window around the joint."""
+    """Jump of the set-point out of the following error window."""
 
     def strike(self, unit: Unit, station: Station) -> None:
         unit.drive.slip()
 
 
 class Overcurrent(CanFault, kind="overcurrent"):
-    """The drive fails with continuous over-current."""
+    """Fault of the drive: continuous over-current."""
 
     def strike(self, unit: Unit, station: Station) -> None:
         unit.drive.fault(OVERCURRENT)
 
 
 class Overheat(CanFault, kind="overheat"):
-    """The motor is hot at once."""
+    """Sudden rise of the motor temperature."""
 
     celsius: float = number(120.0, -50, 300, "a temperature from −50 to 300 °C")
 
@@ -116,7 +116,7 @@ class Overheat(CanFault, kind="overheat"):
 
 
 class HeartbeatLoss(CanFault, kind="heartbeat_loss", lasts=True):
-    """Its heartbeats are lost."""
+    """Loss of the drive's heartbeats."""
 
     def strike(self, unit: Unit, station: Station) -> None:
         unit.line.mute = True
@@ -126,7 +126,7 @@ class HeartbeatLoss(CanFault, kind="heartbeat_loss", lasts=True):
 
 
 class NodeReboot(CanFault, kind="node_reboot", lasts=True):
-    """The drive loses its supply, and starts anew when it is back."""
+    """Loss of the drive's supply; the drive restarts when the supply is back."""
 
     for_s: float = 0.5
 
@@ -138,7 +138,7 @@ class NodeReboot(CanFault, kind="node_reboot", lasts=True):
 
 
 class RefusedMode(CanFault, kind="refused_mode", lasts=True):
-    """6061h does not follow 6060h, though 6502h has the mode."""
+    """Refusal of all modes: 6061h does not follow 6060h, although 6502h contains the mode."""
 
     def strike(self, unit: Unit, station: Station) -> None:
         unit.drive.operation.refused = set(EVERY_MODE)
@@ -148,7 +148,7 @@ class RefusedMode(CanFault, kind="refused_mode", lasts=True):
 
 
 class Bit12Low(CanFault, kind="bit12_low", lasts=True):
-    """The drive ignores its set-points and shows that by bit 12 of the statusword."""
+    """Disregard of set-points by the drive, shown by a low bit 12 of the statusword."""
 
     def strike(self, unit: Unit, station: Station) -> None:
         unit.drive.operation.deaf = True
@@ -158,7 +158,7 @@ class Bit12Low(CanFault, kind="bit12_low", lasts=True):
 
 
 class SyncIgnored(CanFault, kind="sync_ignored", lasts=True):
-    """The drive takes no notice of SYNC."""
+    """Disregard of SYNC by the drive."""
 
     def strike(self, unit: Unit, station: Station) -> None:
         unit.follows_sync = False
@@ -168,7 +168,7 @@ class SyncIgnored(CanFault, kind="sync_ignored", lasts=True):
 
 
 class MappingRefused(CanFault, kind="mapping_refused", lasts=True):
-    """The drive's process data is laid out for good."""
+    """Fixed process data of the drive: writes to the PDO mapping are refused."""
 
     def strike(self, unit: Unit, station: Station) -> None:
         unit.line.refusals[self.kind] = refused_mapping
@@ -178,7 +178,7 @@ class MappingRefused(CanFault, kind="mapping_refused", lasts=True):
 
 
 class SdoAbort(CanFault, kind="sdo_abort", lasts=True):
-    """Transfers of an object, or of all for 0, end with an abort code."""
+    """Abort of all transfers of an object, or of all objects for index 0."""
 
     index: int = number(0, 0, 0xFFFF, "an index of an object, or 0 for all", whole=True)
     abort: int = number(
@@ -193,7 +193,7 @@ class SdoAbort(CanFault, kind="sdo_abort", lasts=True):
 
 
 class SdoSilent(CanFault, kind="sdo_silent", lasts=True):
-    """SDO requests are lost."""
+    """Loss of SDO requests."""
 
     def strike(self, unit: Unit, station: Station) -> None:
         unit.line.unheard = True
@@ -203,7 +203,7 @@ class SdoSilent(CanFault, kind="sdo_silent", lasts=True):
 
 
 class LostFrames(CanFault, kind="lost_frames"):
-    """The next TPDOs of the drive are lost."""
+    """Loss of the next TPDOs of the drive."""
 
     frames: int = count()
 
@@ -212,7 +212,7 @@ class LostFrames(CanFault, kind="lost_frames"):
 
 
 class LateFrames(CanFault, kind="late_frames", lasts=True):
-    """TPDOs come late."""
+    """Delay of the drive's TPDOs."""
 
     by_s: float = seconds(REQUIRED, most=60.0)
 
@@ -224,7 +224,7 @@ class LateFrames(CanFault, kind="late_frames", lasts=True):
 
 
 class WrongLength(CanFault, kind="wrong_length"):
-    """The next TPDOs of the drive are too short or too long."""
+    """Wrong length of the next TPDOs of the drive."""
 
     frames: int = count()
     by_bytes: int = number(-1, -8, 8, "a whole number of bytes, −8 to 8", whole=True)
@@ -235,7 +235,7 @@ class WrongLength(CanFault, kind="wrong_length"):
 
 
 class BusOff(CanFault, kind="bus_off", lasts=True):
-    """A CAN controller gives up: that of a drive, or everybody's at the master's end."""
+    """Bus-off of a drive's CAN controller, or of all participants on the master's side."""
 
     def begin(self, mock: Target) -> None:
         if self.axis == MASTER:
@@ -257,10 +257,11 @@ class BusOff(CanFault, kind="bus_off", lasts=True):
 def faults_of_station(
     station: Station, master: MasterEnd, planned: Sequence[CanFault] = ()
 ) -> Faults[Target]:
-    """The faults of one mock, under way.
+    """Return the fault injection of one mock, with the faults planned on its command line.
 
     Raises:
-        SpecError, CommandRefused: A planned fault is for an axis that it lacks.
+        SpecError: A planned fault is invalid for its axis.
+        CommandRefused: A planned fault is for an axis that does not exist.
     """
 
     def mend() -> None:

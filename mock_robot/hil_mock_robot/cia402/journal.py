@@ -1,4 +1,4 @@
-"""The journal of the mock drives: states, faults and motions, and when the arm came to rest."""
+"""Journal of the mock drives, with states, faults, motions, and times of coming to rest."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ HEXADECIMAL = ("emergency", "connection_lost")
 
 
 class Witness(journal.Witness):
-    """Writes the journal.
+    """Writer of the journal of the mock drives.
 
     Args:
-        station: Whose journal it is.
-        motions: Of the arm.
-        journal: Where it is written.
+        station: Mock station whose events are recorded.
+        motions: Detector of the arm's motions.
+        journal: Journal to which events are written.
     """
 
     def __init__(self, station: Station, motions: MotionWatch, journal: Journal) -> None:
@@ -37,23 +37,23 @@ class Witness(journal.Witness):
         motions.listeners.append(self.moved)
 
     def moment(self) -> Moment:
-        """See `server.journal.Witness`."""
+        """Return the time and state for a journal entry; see `server.journal.Witness`."""
         return Moment(time.monotonic(), self._station.clock.device_s, self._station.body.fastest)
 
     def struck(self, fault: Fault[Any], begins: bool) -> None:
-        """See `server.journal.Witness`."""
+        """Record the beginning or end of an injected fault; see `server.journal.Witness`."""
         axis = fault.axis if isinstance(fault, CanFault) else 0
         self.note("fault" if begins else "fault_over", kind=fault.kind, axis=axis)
 
     def happened(self, event: str, details: dict[str, int | float | str]) -> None:
-        """Note an event of the drives."""
+        """Write an event of a drive to the journal."""
         noted: dict[str, Any] = dict(details)
         if event in HEXADECIMAL:
             noted["code"] = f"{int(details['code']):04X}"
         self.note(event, **noted)
 
     def moved(self, begins: bool) -> None:
-        """A motion begins or ends."""
+        """Write to the journal that a motion begins or ends."""
         marker = self._station.marker
         segment = {"segment": marker.segment} if marker.known else {}
         if begins:
@@ -64,7 +64,7 @@ class Witness(journal.Witness):
             self._rest.stopped("motion_over", self.moment())
 
     def passed(self, steps: int) -> None:
-        """Note changes of state during the last steps, and whether the arm is at rest."""
+        """Record changes of state during the last steps, and whether the arm is at rest."""
         states = [axis.drive.state for axis in self._station.axes]
         if states != self._states:
             before, self._states = self._states, states
@@ -88,7 +88,7 @@ class Witness(journal.Witness):
 
 
 def _event_of(old: State, new: State, controlword: int) -> tuple[str, str] | None:
-    """Return event and cause of a change of state; None if it is not journalled."""
+    """Return event and cause of a change of state; None if the change is not recorded."""
     if old is new:
         return None
     if new is ENABLED:

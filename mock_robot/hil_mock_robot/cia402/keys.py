@@ -1,16 +1,16 @@
-"""Live objects of a drive: `Registers`, and the keys of the objects that the mock gives a meaning.
+"""Live objects of a drive: `Registers`, and the keys of all objects that the mock implements.
 
-All objects, with types and access, are in `dictionary`.
+The module `dictionary` contains all objects with type and access.
 """
 
 from __future__ import annotations
 
 Registers = dict[int, int]
-"""Live objects of one drive by `key(index, sub)`: raw integers as on the wire, with sign."""
+"""Live objects of one drive: signed raw integers, as on the wire, by `key(index, sub)`."""
 
 
 def key(index: int, sub: int = 0) -> int:
-    """Return the key of an object in `Registers`."""
+    """Return the key under which `Registers` contains an object."""
     return index << 8 | sub
 
 

@@ -1,7 +1,8 @@
-"""The mock drives: an arm on CiA 402 drives on a CAN bus.
+"""Mock of an arm that has CiA 402 drives on a CAN bus.
 
-`Mock` puts the parts together, its `Loop` serves frames between the drives' steps. `main` runs it
-as a process (`hil mock can`), `mock_on_virtual_bus` in a thread of the present one, for tests.
+`Mock` connects all parts of the mock; its `Loop` handles frames between the steps of the drives.
+`main` runs the mock as a process (`hil mock can`); `mock_on_virtual_bus` runs it in a thread, for
+tests.
 """
 
 from __future__ import annotations
@@ -53,61 +54,62 @@ TELL = Tell(
     who="mock drives answer",
     requests="fault, clear, state, push or mount",
     examples="""\
-tell fault following_error axis=3    something goes wrong: see docs/reference/mock-can-faults.md
-tell fault heartbeat_loss for_s=2
-tell clear                           what lasts is over
-tell state                           where the arm is, states of the drives, faults
-tell mount mass_kg=3 com_m=[0,0,0.05]
+send fault following_error axis=3    inject a fault, see docs/reference/mock-can-faults.md
+send fault heartbeat_loss for_s=2
+send clear                           end all active faults
+send state                           print arm position, drive states, active faults
+send mount mass_kg=3 com_m=[0,0,0.05]
 """,
     places={
         "--channel": (str, "of the mock (default: can0)"),
         "--interface": (str, "(default: hil_unix)"),
-        "--side": (str, "of the mock, where it has one of its own"),
+        "--side": (str, "of the mock, if the mock was started with it"),
     },
-    elsewhere="are they on another --channel or --side?",
+    elsewhere="check --channel and --side",
 )
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "", seed: int = 1) -> int:
-    """Run until SIGINT, SIGTERM or SIGHUP; returns the exit code.
+    """Run the mock until SIGINT, SIGTERM or SIGHUP; return the exit code.
 
     Args:
-        arguments: Of the command line, by default this process's.
-        prog: Command by which it was started, for its help.
-        seed: Default individual.
+        arguments: Command-line arguments; None for the arguments of this process.
+        prog: Command that started the mock, used in the help text.
+        seed: Default of the seed from which the parameters of the arm are drawn.
     """
     given = parser_of(prog, seed).parse_args(arguments)
-    do = _tell if given.command == "tell" else _write_eds if given.eds else _run
+    do = _send if given.command else _write_eds if given.eds else _run
     return exit_code_of(lambda: do(given))
 
 
 def parser_of(prog: str = "", seed: int = 1) -> Parser:
-    """The command line of `hil mock can` and `python -m hil_mock_robot can`."""
+    """Return the command-line parser of `hil mock can` and `python -m hil_mock_robot can`."""
     parser = Parser("can", prog, "CiA 402 drives on a CAN bus, with a simulated arm between them.")
     add = parser.add_argument
-    channel = "of the bus: a name, or the path of its socket; a second mock takes another one"
+    channel = "of the bus: a name, or the path of its socket; a second mock needs a different one"
     add("--channel", default=CHANNEL, help=channel)
-    interface = f"{INTERFACE}: the mock hosts the bus; else an interface of python-can"
+    interface = f"{INTERFACE}: the mock hosts the bus; otherwise an interface of python-can"
     add("--interface", default=INTERFACE, help=interface)
-    rate = f"of the bus [bit/s]; on {INTERFACE} the wire is modelled with it, without it is not"
+    rate = f"of the bus [bit/s]; on {INTERFACE}, the wire is modelled only with this option"
     add("--bitrate", type=float, metavar="BIT_S", help=rate)
-    wire = "seconds of the modelled wire in one of the clock: the `pace` of the master; 1 without"
+    wire = "seconds of the modelled wire per second of the clock: the `pace` of the master"
+    wire += " (default: 1)"
     add("--wire-speed", type=float, metavar="FACTOR", help=wire)
-    add("--nodes", type=int, nargs="+", default=(), metavar="ID", help="node ids; 1, 2 … without")
-    announces = "node id under which the master announces what it does"
+    add("--nodes", type=int, nargs="+", default=(), metavar="ID", help="node ids (default: 1, 2 …)")
+    announces = "node id of the master, for the events that it announces"
     add("--master-id", type=int, default=MASTER_ID, metavar="ID", help=announces)
-    patience = "wall time without SYNC after which the drives go by their own timer"
+    patience = "wall time without SYNC after which the drives run on their own timer"
     add("--sync-patience-s", type=float, default=PATIENCE_S, metavar="S", help=patience)
     parser.add_arm(MODEL, arm_names(), seed, start="all zeros")
-    side = f"socket of the side channel for tests, `{NO_SIDE}` for none; beside the bus without"
+    side = f"socket of the side channel for tests, or `{NO_SIDE}` (default: next to the bus)"
     add("--side", default="", metavar="PATH", help=side)
     parser.add_records()
-    add("--eds", type=Path, help="write the drives' electronic data sheet (EDS), and stop")
+    add("--eds", type=Path, help="write the drives' electronic data sheet (EDS), then exit")
     TELL.add_to(parser)
     return parser
 
 
-def _tell(given: argparse.Namespace) -> int:
+def _send(given: argparse.Namespace) -> int:
     path = given.side or side_path(given.interface, given.channel)
     return show(TELL.ask(path, TELL.request(given.request, given.more)))
 
@@ -119,14 +121,14 @@ def _write_eds(given: argparse.Namespace) -> int:
     except OSError as error:
         raise RecordingError(
             f"cannot write {given.eds}: {error.strerror}",
-            hint="give --eds a path in a folder that can be written",
+            hint="for --eds, choose a folder with write permission",
         ) from error
     print(given.eds)  # noqa: T201
     return 0
 
 
 def _run(given: argparse.Namespace) -> int:
-    # What a client asks out of place is answered by an abort code, and no news for a terminal.
+    # Invalid requests of a client are answered by an abort code and need no log message.
     logging.getLogger("canopen").addHandler(logging.NullHandler())
     end = end_of(given.interface, given.channel, given.bitrate, given.wire_speed)
     try:
@@ -136,7 +138,7 @@ def _run(given: argparse.Namespace) -> int:
         raise
     mock.loop.mishaps.contained = True
     gc.collect()
-    gc.freeze()  # what is here now stays: it is not looked through again between two SYNCs
+    gc.freeze()  # permanent objects are excluded from garbage collection
     return serve(mock.loop, f"{given.model} on {end.where}{_wire(given)}")
 
 
@@ -165,27 +167,31 @@ def _wire(given: argparse.Namespace) -> str:
 
 
 class Mock:
-    """Drives on a bus, with faults, journal and side channel.
+    """Mock drives on a bus, with faults, journal and side channel.
 
     Args:
-        truth: What the arm is really like.
-        end: Of the bus.
-        nodes: Node id of each axis; 1, 2 … when empty.
-        start_q_deg: Where the arm stands at first; zeros when empty.
-        mounted: Load that really hangs at the flange; the declared one when None.
-        master_id: Node id under which the master announces what it does.
-        patience_s: Wall time without SYNC after which the drives go by their own timer.
+        truth: True parameters of the arm.
+        end: Connection of the drives to the bus.
+        nodes: Node id of each axis; empty for the ids 1, 2, …
+        start_q_deg: Joint positions of the arm at the start [deg]; empty for zeros.
+        mounted: True payload at the flange; None for the payload that the master declares.
+        master_id: Node id of the master's marker.
+        patience_s: Wall time without SYNC after which the drives use their own timer [s].
         faults: Planned faults.
-        journal: File for what happens.
+        journal: Path of the file for the journal of events.
         side: Socket of the side channel.
 
     Attributes:
-        station, motions, faults, requests, loop: Its parts.
+        station: All drives of the arm.
+        motions: Detector of the arm's motions.
+        faults: Fault injection.
+        requests: Requests of the side channel.
+        loop: Main loop.
 
     Raises:
-        SpecError: An option or a fault cannot be.
+        SpecError: An option or a fault is invalid.
         RobotConnectionError: The journal cannot be written.
-        PluginError: The side channel cannot listen.
+        PluginError: The socket of the side channel cannot be opened.
     """
 
     def __init__(
@@ -213,8 +219,8 @@ class Mock:
         self.motions.listeners.append(self._moved)
         if witness is not None:
             self.faults.listeners.append(witness.struck)
-        # The motion is counted before faults that wait for it are looked at, and before the
-        # journal says how it ended.
+        # The motion must be counted before the faults that wait for it are checked, and before
+        # the journal records its end.
         self.station.passed += [self.motions.passed, self.faults.passed]
         if witness is not None:
             self.station.passed.append(witness.passed)
@@ -233,33 +239,33 @@ class Mock:
 
 
 def nodes_of(given: Sequence[int], arm: ArmDescription, master_id: int) -> tuple[int, ...]:
-    """Node id of each axis.
+    """Return the node id of each axis.
 
     Raises:
-        SpecError: They cannot be.
+        SpecError: The node ids are invalid.
     """
     nodes = tuple(given) or tuple(range(1, arm.n_joints + 1))
     if len(nodes) != arm.n_joints:
         raise SpecError(
             f"--nodes names {len(nodes)} drives, the arm {arm.name} has {arm.n_joints} joints",
-            hint="give one node id per joint, from the base on",
+            hint="use one node id per joint, beginning at the base",
         )
     if len({*nodes, master_id}) != len(nodes) + 1 or not all(
         1 <= node <= MOST_NODE for node in (*nodes, master_id)
     ):
         raise SpecError(
             f"--nodes {list(nodes)} and --master-id {master_id} cannot be on one bus",
-            hint=f"give different numbers from 1 to {MOST_NODE}",
+            hint=f"use different numbers from 1 to {MOST_NODE}",
         )
     return nodes
 
 
 class CanRequests(Requests):
-    """Requests to the drives by the side channel.
+    """Handler of the requests that arrive on the side channel of the mock.
 
     Args:
-        station: The drives.
-        faults: Of the mock.
+        station: All drives of the arm.
+        faults: Fault injection of the mock.
     """
 
     def __init__(self, station: Station, faults: Faults[Target]) -> None:
@@ -298,26 +304,26 @@ class CanRequests(Requests):
 
 
 OWN_STEPS = 10
-"""Steps that the drives' own timer makes in one block."""
+"""Number of steps that the drives' own timer advances in one block."""
 
 SIDE_S = 0.01
-"""Wall time between two looks at the side channel while the bus is busy."""
+"""Wall time between two checks of the side channel while the bus is busy [s]."""
 
 SLEPT_S = 0.05
-"""A turn that is later by so much: the computer was busy, for the master as well."""
+"""Delay of a turn of the loop from which the computer, and thus the master, counts as busy [s]."""
 
 
 class Loop(loop.Loop):
-    """Serves frames between the drives' steps, in one thread.
+    """Main loop of the mock in one thread, which handles frames between the steps of the drives.
 
     Args:
-        end: Of the bus.
-        station: The drives.
-        side: The side channel, if there is one.
-        witness: Writes the journal, if there is one.
+        end: Connection of the drives to the bus.
+        station: All drives of the arm.
+        side: Side channel; None for no side channel.
+        witness: Writer of the journal; None for no journal.
 
     Attributes:
-        mishaps: Mistakes of the mock itself.
+        mishaps: Internal errors of the mock.
     """
 
     def __init__(
@@ -333,24 +339,24 @@ class Loop(loop.Loop):
         self.mishaps = Mishaps()
         if witness is not None:
             self.mishaps.listeners.append(witness.stumbled)
-        self._asked: deque[Callable[[], None]] = deque()
+        self._calls: deque[Callable[[], None]] = deque()
         self._side_due_s = 0.0
         self._turned_s = time.monotonic()
         self._beside_bus: list[socket.socket] = [self.woken]
         end.heard = self._heard
 
     def run(self) -> None:
-        """Power on, and serve until `end`."""
+        """Switch the drives on, and serve the bus until `end` is called."""
         self._station.boot()
         super().run()
 
     def ask(self, action: Callable[[], None]) -> None:
-        """Let the loop call `action` between two turns; for other threads."""
-        self._asked.append(action)
+        """Queue an action of another thread, which the loop executes between two turns."""
+        self._calls.append(action)
         self.wake()
 
     def leave(self) -> None:
-        """Leave the bus."""
+        """Close the connection to the bus, the side channel and the journal."""
         if self._side is not None:
             self._side.close()
         self._end.close()
@@ -358,7 +364,7 @@ class Loop(loop.Loop):
             self._witness.close(syncs=self._station.clock.syncs)
 
     def turn(self) -> None:
-        """Handle frames that have come; without SYNC, let the drives' own timer go on."""
+        """Handle received frames; without SYNC, advance the drives by their own timer."""
         clock = self._station.clock
         wait_s = min(clock.wait_s(time.monotonic(), OWN_STEPS), SIDE_S)
         asked = self._end.serve(wait_s, self._beside_bus)
@@ -367,9 +373,9 @@ class Loop(loop.Loop):
             clock.slept(now_s - self._turned_s)
         self._turned_s = now_s
         if clock.wait_s(now_s, OWN_STEPS) <= STEP_S / 10:
-            self._end.serve(0.0)  # a SYNC that had come by then counts
+            self._end.serve(0.0)  # handle a SYNC received until then
             self._lapse(now_s)
-        if asked or self._asked or now_s >= self._side_due_s:
+        if asked or self._calls or now_s >= self._side_due_s:
             self._side_due_s = now_s + SIDE_S
             self._beside()
 
@@ -387,8 +393,8 @@ class Loop(loop.Loop):
 
     def _beside(self) -> None:
         self.woke()
-        while self._asked:
-            self._asked.popleft()()
+        while self._calls:
+            self._calls.popleft()()
         if self._side is not None:
             self._side.serve()
             self._beside_bus = [self.woken, *self._side.sockets]
@@ -399,10 +405,10 @@ ANSWER_S = 30.0
 
 
 class HostedMock:
-    """A mock that a thread runs.
+    """Mock that runs in a separate thread.
 
     Args:
-        mock: The mock; others may touch it by `ask` only.
+        mock: Mock to run; other threads must access this mock by `ask` only.
     """
 
     def __init__(self, mock: Mock) -> None:
@@ -412,15 +418,15 @@ class HostedMock:
         self._thread.start()
 
     def tell(self, do: str, **more: Any) -> dict[str, Any]:
-        """A request of the side channel; its answer.
+        """Execute a request, as on the side channel, and return the answer.
 
         Raises:
-            HilError: It cannot be done.
+            HilError: The request is invalid or cannot be executed.
         """
         return self.ask(lambda mock: mock.requests.answer({"do": do, **more}) or {})
 
     def ask(self, question: Callable[[Mock], T]) -> T:
-        """Return the answer of the mock's own thread, between two frames; raise its errors here."""
+        """Call `question` in the mock's thread between two frames; return or raise the result."""
         done = threading.Event()
         found: list[T] = []
         raised: list[Exception] = []
@@ -441,7 +447,7 @@ class HostedMock:
         return found[0]
 
     def close(self) -> None:
-        """End the mock; raise the error that ended it, if one did."""
+        """End the mock; raise the error that ended the mock earlier, if there was an error."""
         self._mock.loop.end()
         self._thread.join(ANSWER_S)
         if self._mishap is not None:
@@ -465,16 +471,16 @@ def mock_on_virtual_bus(
     bitrate: float | None = None,
     **options: Any,
 ) -> Iterator[HostedMock]:
-    """Run mock drives in a thread while the block runs; the bus is there when it begins.
+    """Run mock drives in a thread during a `with` block, at whose beginning the bus exists.
 
     Args:
-        channel: Of the bus.
-        interface: Of python-can; on `hil_unix` the mock hosts the bus.
-        model: A built-in arm.
-        seed: Which individual.
-        profile: Of the physics.
-        bitrate: Of the wire, where it is modelled.
-        **options: As of `Mock`.
+        channel: Channel of the bus.
+        interface: Interface of python-can; on `hil_unix` the mock hosts the bus.
+        model: Name of a built-in arm.
+        seed: Seed from which the parameters of the arm are drawn.
+        profile: Name of the profile of the simulated physics.
+        bitrate: Bit rate of the bus [bit/s]; on `hil_unix`, bit rate of the modelled wire.
+        **options: Options of `Mock`.
     """
     end = end_of(interface, channel, bitrate)
     try:

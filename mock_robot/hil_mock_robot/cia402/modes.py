@@ -1,8 +1,8 @@
-"""Modes of operation: what an enabled axis does with its set-points.
+"""Modes of operation, which determine how an enabled axis reacts to its set-points.
 
-`Operation` is the mode of one drive: what a master wants (6060h) and what it gets (6061h). CSP, CSV
-and CST (8 to 10) take a new set-point at every SYNC; profile position (1) and homing (6) make their
-own motion, for tools without SYNC.
+`Operation` manages the mode of one drive: the mode requested by the master (6060h) and the active
+mode (6061h). CSP, CSV and CST (8 to 10) use a new set-point at every SYNC. Profile position (1) and
+homing (6) generate the motion in the drive, for tools without SYNC.
 """
 
 from __future__ import annotations
@@ -27,24 +27,26 @@ from hil_mock_robot.cia402.power import (
 PP, HM, CSP, CSV, CST = 1, 6, 8, 9, 10
 
 CYCLIC = frozenset({CSP, CSV, CST})
-"""Modes that need SYNC."""
+"""Modes of operation that need SYNC."""
 
 FOLLOWING = frozenset({PP, CSP})
-"""Modes in which the following error is watched."""
+"""Modes of operation in which the following error is monitored."""
 
 MODE_BITS = {PP: 0, HM: 5, CSP: 7, CSV: 8, CST: 9}
-"""Of the modes that are built, their bits in 6502h."""
+"""Bit numbers of the implemented modes in 6502h."""
 
 
 class Operation:
-    """The operation of an axis while it is enabled.
+    """Operation of an enabled axis: active mode, change of mode, and halt.
 
     Args:
-        axis: Whose.
+        axis: Axis whose mode is managed.
 
     Attributes:
-        refused: Modes (6060h) that 6061h does not follow though 6502h has them (injected).
-        deaf: It ignores its set-points, and says so by bit 12 (injected).
+        refused: Modes (6060h) that 6061h does not follow because of an injected fault, although
+            6502h contains these modes.
+        deaf: Whether the drive ignores its set-points because of an injected fault, and shows this
+            by bit 12 of the statusword.
     """
 
     def __init__(self, axis: Axis) -> None:
@@ -60,17 +62,17 @@ class Operation:
 
     @property
     def cyclic(self) -> bool:
-        """Whether the mode needs SYNC."""
+        """Whether the active mode needs SYNC."""
         return self._shown in CYCLIC
 
     @property
     def follows(self) -> bool:
-        """Whether the following error is watched."""
+        """Whether the following error is monitored in the active mode."""
         return self._shown in FOLLOWING
 
     @property
     def led_by_torque(self) -> bool:
-        """Whether the joint goes where its torque leads."""
+        """Whether the active mode is CST, in which the torque determines the joint's motion."""
         return self._shown == CST
 
     @property
@@ -79,19 +81,19 @@ class Operation:
         return self._mode.bits & ~(MODE_BIT_12 * self.deaf)
 
     def begin(self) -> None:
-        """The axis is enabled: from where its set-point is now."""
+        """Start the mode at the present set-point when the axis is enabled."""
         self._mode = mode_of(self._shown, self._axis)
 
     def resume(self) -> None:
-        """A halt is over."""
+        """Resume the active mode after a halt."""
         self._mode.resume()
 
     def listen(self) -> None:
-        """A controlword has come."""
+        """Pass a new controlword to the active mode."""
         self._mode.listen(self.deaf)
 
     def follow(self, *, enabled: bool) -> None:
-        """Be in the mode that is wanted, if it can be; at once where the axis is enabled."""
+        """Activate the requested mode if possible; on an enabled axis it starts immediately."""
         wanted = self._axis.registers[keys.MODE]
         if wanted != self._shown and self._takes(wanted):
             self._shown = self._axis.registers[keys.MODE_DISPLAY] = wanted
@@ -99,47 +101,47 @@ class Operation:
                 self.begin()
 
     def advance(self, steps: int, synced: bool) -> Demand:
-        """See `Mode`."""
+        """Return the demand of the next steps; see `Mode`."""
         return self._mode.advance(steps, synced, self.deaf)
 
     def _takes(self, mode: int) -> bool:
-        """Whether the mode is built, supported by 6502h, and not refused."""
+        """Return whether a mode is implemented, supported by 6502h, and not refused."""
         if mode not in MODE_BITS or mode in self.refused:
             return False
         return bool(self._axis.registers[keys.SUPPORTED_MODES] >> MODE_BITS[mode] & 1)
 
 
 EXTRAPOLATED = 2
-"""Targets in a row that an axis does without."""
+"""Number of consecutive missing targets for which an axis extrapolates its motion."""
 
 NAN = math.nan
 
 
 class Mode(Protocol):
-    """One mode of an enabled axis; built anew when the mode or the state is entered."""
+    """Mode of an enabled axis; a new object is created when the mode or the state is entered."""
 
     def advance(self, steps: int, synced: bool, deaf: bool) -> Demand:
-        """Return the demand of the next steps; `axis.demand_q` and `demand_qd` follow.
+        """Return the demand of the next steps; also update `axis.demand_q` and `demand_qd`.
 
         Args:
-            steps: Of `STEP_S`.
-            synced: A SYNC begins them.
-            deaf: New set-points are not taken.
+            steps: Number of steps of `STEP_S`.
+            synced: Whether a SYNC begins the steps.
+            deaf: Whether new set-points are ignored.
         """
 
     def listen(self, deaf: bool) -> None:
-        """A controlword has come: an edge in it may be over before the next steps begin."""
+        """Evaluate a new controlword, because an edge can end before the next steps begin."""
 
     def resume(self) -> None:
-        """Go on from where the set-point is now, after a halt."""
+        """Continue from the present set-point of the axis after a halt."""
 
     @property
     def bits(self) -> int:
-        """Bits 10, 12 and 13 of the statusword as this mode has them."""
+        """Bits 10, 12 and 13 of the statusword in this mode."""
 
 
 class Idle(Mode):
-    """No mode, or one without set-points yet: the axis is held where it is."""
+    """Absence of a mode, or mode without set-points: the axis holds its position."""
 
     bits = 0
 
@@ -158,10 +160,10 @@ class Idle(Mode):
 
 
 class CyclicPosition(Mode):
-    """CSP: to 607Ah + 60B0h, interpolated to be there at the next SYNC; torque 60B2h is added.
+    """CSP: interpolated motion to 607Ah + 60B0h until the next SYNC, with torque offset 60B2h.
 
-    Where the RPDO that brings targets stays away, it goes on at its speed for up to two SYNCs, and
-    then to rest.
+    If the RPDO with targets is missing, the axis continues at its speed for up to two SYNCs, and
+    then comes to rest.
     """
 
     bits = MODE_BIT_12
@@ -189,7 +191,7 @@ class CyclicPosition(Mode):
 
 
 class CyclicVelocity(Mode):
-    """CSV: velocity 60FFh + 60B1h, reached at the next SYNC; the position follows it."""
+    """CSV: velocity 60FFh + 60B1h, reached at the next SYNC; the position follows the velocity."""
 
     bits = MODE_BIT_12
 
@@ -202,7 +204,7 @@ class CyclicVelocity(Mode):
         self._wanted, self._left = self._axis.demand_qd, 0
 
     def advance(self, steps: int, synced: bool, deaf: bool) -> Demand:
-        """See `Mode`; outside the position limits it only goes back."""
+        """Return the demand; outside of the position limits, the axis moves only back to them."""
         axis, objects = self._axis, self._axis.registers
         if synced:
             raw = 0 if deaf else objects[keys.TARGET_VELOCITY] + objects[keys.VELOCITY_OFFSET]
@@ -224,7 +226,7 @@ class CyclicVelocity(Mode):
         return Demand(rows, NAN, False, offset, axis.torque_limit)
 
     def _allowed(self, wanted: float) -> float:
-        """At most the joint's speed [rad/s], and none that leads out of the position limits."""
+        """Return a velocity [rad/s], limited by the joint's speed and the position limits."""
         axis, objects = self._axis, self._axis.registers
         low, high = objects[keys.POSITION_LIMIT_MIN], objects[keys.POSITION_LIMIT_MAX]
         raw, raw_speed = axis.raw_position(axis.demand_q), wanted * axis.counts
@@ -236,7 +238,10 @@ class CyclicVelocity(Mode):
 
 
 class CyclicTorque(Mode):
-    """CST: torque 6071h + 60B2h, cut to 6072h; the joint goes where it leads."""
+    """CST: torque 6071h + 60B2h, limited to 6072h.
+
+    In CST the torque determines the motion of the joint.
+    """
 
     bits = MODE_BIT_12
 
@@ -265,10 +270,11 @@ MILLISECOND_STEPS = round(0.001 / STEP_S)
 
 
 class ProfilePosition:
-    """PP: to 607Ah along a trapezoid (6081h, 6083h, 6084h) when bit 4 of the controlword rises.
+    """PP: trapezoidal motion (6081h, 6083h, 6084h) to 607Ah at a rising edge of controlword bit 4.
 
-    Bit 5 drops the present target for the new one, else one target waits for the present one to
-    be reached; bit 6 makes it relative to the last target. Bit 12 of the statusword acknowledges.
+    If controlword bit 5 is set, the new target replaces the present target. If bit 5 is not set,
+    one target waits until the present target is reached. If controlword bit 6 is set, the target is
+    relative to the last target. Bit 12 of the statusword acknowledges the set-point.
     """
 
     def __init__(self, axis: Axis) -> None:
@@ -282,13 +288,13 @@ class ProfilePosition:
 
     @property
     def bits(self) -> int:
-        """See `Mode`: set-point acknowledge, target reached."""
+        """Statusword bits for set-point acknowledged and target reached; see `Mode`."""
         settled = self._axis.registers[keys.POSITION_WINDOW_TIME] * MILLISECOND_STEPS
         reached = self._path.done and self._waiting is None and self._inside >= settled
         return MODE_BIT_12 * self._acknowledged | TARGET_REACHED * reached
 
     def resume(self) -> None:
-        """See `Mode`: on to the same target."""
+        """Continue to the present target after a halt; see `Mode`."""
         self._path.q, self._path.qd = self._axis.demand_q, self._axis.demand_qd
 
     def advance(self, steps: int, synced: bool, deaf: bool) -> Demand:
@@ -325,14 +331,14 @@ class ProfilePosition:
         self._path.target = self._axis.target(raw)
 
     def _settle(self, steps: int) -> None:
-        """Count how long the joint has been in the position window (6067h)."""
+        """Count the steps in which the joint is in the position window (6067h)."""
         axis = self._axis
         away = abs(axis.q - self._path.target) * abs(axis.counts)
         inside = away <= axis.registers[keys.POSITION_WINDOW]
         self._inside = self._inside + steps if inside else 0
 
     def _limits(self) -> tuple[float, float, float]:
-        """Return speed, acceleration, deceleration at the joint; 0 stands for its own limit."""
+        """Return speed, acceleration and deceleration; the joint's limit replaces the value 0."""
         axis, objects = self._axis, self._axis.registers
         counts, joint = abs(axis.counts), self._axis.joint
         speed = min(objects[keys.PROFILE_VELOCITY], objects[keys.MAX_PROFILE_VELOCITY])
@@ -344,13 +350,14 @@ class ProfilePosition:
 
 
 HERE_IS_HOME = (35, 37)
-"""Homing methods (6098h) that do not move."""
+"""Homing methods (6098h) that need no motion."""
 
 
 class Homing:
-    """HM: when bit 4 of the controlword rises, the present position becomes 607Ch.
+    """HM: at a rising edge of controlword bit 4, the present position gets the value of 607Ch.
 
-    Only methods that do not move (35, 37); any other one ends in a homing error (bit 13).
+    Only methods without motion (35, 37) are implemented; any other method ends in a homing error
+    (bit 13).
     """
 
     def __init__(self, axis: Axis) -> None:
@@ -394,5 +401,5 @@ _MODES: dict[int, Callable[[Axis], Mode]] = {
 
 
 def mode_of(number: int, axis: Axis) -> Mode:
-    """Return the mode for 6061h, starting at the axis' present set-point."""
+    """Return a mode object for the value of 6061h, starting at the axis' present set-point."""
     return _MODES.get(number, Idle)(axis)

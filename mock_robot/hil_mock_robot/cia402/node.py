@@ -1,8 +1,8 @@
-"""One drive as a CANopen node on its live registers: SDO, NMT, EMCY, heartbeat and PDOs.
+"""CANopen node of one mock drive: SDO, NMT, EMCY, heartbeat and PDOs, on live registers.
 
-`MockNode` takes frames and the device's time and tells the drive behind it by `Hooks`. It is built
-on `canopen.LocalNode` without that library's threads and clocks: `DeviceNetwork` takes the place
-of its bus, `NmtSlave` knows the resets, `Producer` and `Consumer` count heartbeats in device time.
+`MockNode` receives frames and device time, and notifies its drive by `Hooks`. `MockNode` is based
+on `canopen.LocalNode` without the threads and clocks of that library: `DeviceNetwork` replaces its
+bus, `NmtSlave` adds the resets, `Producer` and `Consumer` count heartbeats in device time.
 
 | NMT state    | event                                         | next state      |
 |--------------|-----------------------------------------------|-----------------|
@@ -55,7 +55,7 @@ SDO_BYTES = 8
 
 
 class NmtState(IntEnum):
-    """NMT state, as it is in a heartbeat."""
+    """NMT state of a node; the value of each member is the value in a heartbeat."""
 
     INITIALISING = 0
     STOPPED = 4
@@ -66,10 +66,10 @@ class NmtState(IntEnum):
 BOOT_UP = bytes([NmtState.INITIALISING])
 
 TALKING = (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
-"""States with SDO and EMCY."""
+"""NMT states in which a node serves SDO and sends EMCY."""
 
 REACTIONS = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}
-"""What 1029h:1 says to become when communication fails while operational."""
+"""NMT state after a communication error in the state operational, by the value of 1029h:1."""
 
 FIELD = 0x1003
 _ERROR_STATE = (0x1001, FIELD, 0x603F)
@@ -77,18 +77,20 @@ _DRIVE_FAULT, _FAULT_MASK = 0x08, 0x4F
 
 
 class MockNode(canopen.LocalNode):
-    """One drive on the bus; the caller gives it frames and the time.
+    """CANopen node of one drive, to which the caller passes frames and device time.
 
     Args:
-        node_id: 1 to 127.
-        registers: What `dictionary.registers_of` returned; live, shared with the drive.
-        send: Puts a frame on the bus.
-        hooks: Calls to the drive of this node.
-        boot_s: Device time that a start takes, in which it is deaf.
+        node_id: Node id, 1 to 127.
+        registers: Live registers from `dictionary.registers_of`, shared with the drive.
+        send: Function that puts a frame on the bus.
+        hooks: Callbacks to the drive of this node.
+        boot_s: Duration of a start in device time, during which the node ignores all frames [s].
 
     Attributes:
-        node_id, registers, hooks: As given.
-        errors: Of the node.
+        node_id: Node id.
+        registers: Live registers, shared with the drive.
+        hooks: Callbacks to the drive of this node.
+        errors: List of the present and earlier errors of the node.
     """
 
     def __init__(
@@ -117,14 +119,14 @@ class MockNode(canopen.LocalNode):
         self.associate_network(self._bus)
 
     def boot(self) -> None:
-        """Power on: after `boot_s` the boot-up message, then pre-operational."""
+        """Switch the node on: after `boot_s`, send the boot-up and enter pre-operational."""
         self._nmt.start()
         self._booted_s = self._now_s + self._boot_s
         if not self._boot_s:
             self._booted()
 
     def heard(self, can_id: int, data: bytes) -> None:
-        """A frame was on the bus (not one of its own); SYNC comes separately."""
+        """Handle a received frame except SYNC; the node's own frames must not be passed."""
         state = self._nmt.code
         if state is NmtState.INITIALISING:
             return
@@ -137,12 +139,12 @@ class MockNode(canopen.LocalNode):
             self._bus.heard(can_id, data)
 
     def synced(self) -> None:
-        """A SYNC was on the bus: RPDOs that came before it are applied, TPDOs are sent."""
+        """Handle SYNC: apply the RPDOs received before the SYNC, and send TPDOs."""
         if self._nmt.code is NmtState.OPERATIONAL:
             self._exchange.synced()
 
     def ticked(self, device_s: float) -> None:
-        """Let time pass: heartbeats, event timers, watch of other heartbeats."""
+        """Advance the node to a device time [s]: send and check heartbeats, check event timers."""
         self._now_s = device_s
         if self._nmt.code is NmtState.INITIALISING:
             if self._booted_s is not None and device_s >= self._booted_s:
@@ -156,12 +158,12 @@ class MockNode(canopen.LocalNode):
             self._send(HEARTBEAT + self.node_id, bytes([self._nmt.code]))
 
     def emergency(self, code: int, register: int | None = None, data: bytes = b"") -> None:
-        """Report an error: EMCY, 603Fh, 1001h, 1003h; one that is there already is not new.
+        """Report an error by EMCY, 603Fh, 1001h, 1003h; an error already present is ignored.
 
         Args:
-            code: Error code; 0: nothing is wrong any more.
-            register: Its bits in 1001h; by default those of its code.
-            data: Up to five bytes of the maker's.
+            code: Error code; 0 to report that all errors are gone.
+            register: Bits of the error in 1001h; None for the bits that belong to the error code.
+            data: Up to five bytes of manufacturer data.
         """
         if code:
             self.errors.report(code, register, data)
@@ -169,24 +171,24 @@ class MockNode(canopen.LocalNode):
             self.errors.recovered()
 
     def recovered(self, code: int | None = None) -> None:
-        """That error is gone, or all are: EMCY 0000h."""
+        """Report by EMCY 0000h that an error is gone, or for None that all errors are gone."""
         self.errors.recovered(code)
 
     @property
     def missed(self) -> int:
-        """SYNCs in a row without the set-point that an RPDO brings."""
+        """Number of consecutive SYNCs without a set-point, if RPDOs contain set-points."""
         return self._exchange.missed
 
     def bus_off(self) -> None:
-        """Go bus off: the CAN controller has given up, and the drive reacts."""
+        """Simulate bus-off of the CAN controller, to which the drive reacts."""
         self._react(BUS_OFF)
 
     def bus_back(self) -> None:
-        """Come back from bus off, and report that."""
+        """Return from bus-off and report the bus-off as an error."""
         self.errors.told_late(BUS_OFF)
 
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
-        """An object's data; the SDO server's way in."""
+        """Return an object's data; called by the SDO server."""
         entry = access_rules.entry_of(index, subindex)
         if entry.type == "domain":
             self._eds = self._eds or eds_of(self.object_dictionary)
@@ -196,7 +198,7 @@ class MockNode(canopen.LocalNode):
     def set_data(
         self, index: int, subindex: int, data: bytes, check_writable: bool = False
     ) -> None:
-        """Write an object; the SDO server's way in."""
+        """Write an object for a client; called by the SDO server."""
         entry = access_rules.entry_of(index, subindex)
         layout = access_rules.is_pdo_object(index)
         value = access_rules.decoded_value(
@@ -208,7 +210,7 @@ class MockNode(canopen.LocalNode):
         self.hooks.written(entry.key, value)
 
     def _follow(self, entry: Object, value: int) -> None:
-        """Act on a write that concerns the node itself."""
+        """React to a write of an object that configures the node."""
         if access_rules.is_pdo_object(entry.index):
             self._exchange.configure()
         elif entry.index == access_rules.CONSUMERS:
@@ -277,21 +279,22 @@ class MockNode(canopen.LocalNode):
 
 
 def _nothing(*_: object) -> None:
-    """Ignore the call; the default of all hooks."""
+    """Ignore the call; this function is the default of all callbacks."""
 
 
 @dataclass(slots=True)
 class Hooks:
-    """Set by the owner of the node; each is called from within `heard`, `synced` or `ticked`.
+    """Callbacks from a node to its owner, called within `heard`, `synced` or `ticked`.
 
     Attributes:
-        applied: RPDOs have been written into the registers: controlword, set-points.
-        written: An SDO client has written an object: its key and new raw value.
-        resetting: The node is about to start anew, with all as it was; whether its application
-            starts anew, too (reset node).
-        nmt_changed: The new NMT state (`nmt.State`).
-        booted: The node has started anew; whether its application has, too (reset node).
-        connection_lost: Error code (8130h, 8140h, 8250h): what 6007h is the reaction to.
+        applied: Called after controlword and set-points of RPDOs were written into the registers.
+        written: Called after an SDO client has written an object, with its key and new raw value.
+        resetting: Called before the node resets, while its state is unchanged; the argument is True
+            for reset node, False for reset communication.
+        nmt_changed: Called with the new NMT state (`NmtState`).
+        booted: Called after the reset of the node, with the same argument as `resetting`.
+        connection_lost: Called with the error code (8130h, 8140h or 8250h) of a lost connection;
+            the drive reacts as 6007h requires.
     """
 
     applied: Callable[[], None] = _nothing
@@ -303,7 +306,7 @@ class Hooks:
 
 
 START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
-"""Commands."""
+"""NMT commands."""
 
 TARGETS = {
     START: NmtState.OPERATIONAL,
@@ -316,15 +319,15 @@ _STATES = {int(state): state for state in NmtState}
 
 
 class NmtSlave(nmt.NmtSlave):
-    """The NMT state machine; its owner is called with every change.
+    """NMT state machine with a callback for every change.
 
-    In place of `canopen`'s own, which knows neither resets nor a clock of the device's. The state
-    by name, and set by name, is the library's property `state`.
+    `NmtSlave` replaces the NMT class of `canopen`, which supports neither resets nor a device
+    clock. The library's property `state` reads and sets the state by name.
 
     Args:
-        node_id: Which commands are for it.
-        changed: Called with a new state.
-        reset: Called when the node has to start anew; True where its application has, too.
+        node_id: Node id, by which commands for this node are recognized.
+        changed: Callback for a new NMT state.
+        reset: Callback for a reset; True for reset node, False for reset communication.
     """
 
     def __init__(
@@ -335,16 +338,16 @@ class NmtSlave(nmt.NmtSlave):
 
     @property
     def code(self) -> NmtState:
-        """Code of the state."""
+        """Present state as `NmtState`."""
         return _STATES[self._state]
 
     def on_command(self, can_id: int, data: bytes, timestamp: float) -> None:
-        """An NMT command was on the bus: command, node."""
+        """Handle an NMT frame from the bus, which contains a command and a node id."""
         if len(data) == 2 and data[1] in (ALL_NODES, self.id):
             self.send_command(data[0])
 
     def send_command(self, code: int) -> None:
-        """Carry out an NMT command; unknown ones are ignored, and all while booting."""
+        """Execute an NMT command; ignore unknown commands, and all commands during the start."""
         if self.code is NmtState.INITIALISING:
             return
         if code in (RESET_NODE, RESET_COMMUNICATION):
@@ -353,11 +356,11 @@ class NmtSlave(nmt.NmtSlave):
             self.enter(TARGETS[code])
 
     def start(self) -> None:
-        """Switched on, or reset: it is initialising."""
+        """Enter the NMT state initialising after power on or reset."""
         self._state = int(NmtState.INITIALISING)
 
     def enter(self, state: NmtState) -> None:
-        """Be in this state from now on."""
+        """Enter an NMT state and call the callback if the state changes."""
         if state is not self.code:
             self._state = int(state)
             self._changed(state)
@@ -370,7 +373,7 @@ class Producer:
     """Schedule of the node's own heartbeat.
 
     Args:
-        registers: Live.
+        registers: Live objects of the drive.
     """
 
     def __init__(self, registers: Registers) -> None:
@@ -378,11 +381,11 @@ class Producer:
         self._next_s = 0.0
 
     def restart(self, now_s: float) -> None:
-        """The period is new: the first one is due now."""
+        """Restart the schedule with a new period; the first heartbeat is due at `now_s`."""
         self._next_s = now_s
 
     def due(self, now_s: float) -> bool:
-        """Return whether it has to be sent now; called once a tick."""
+        """Return whether the heartbeat must be sent now; called once a tick."""
         period_s = self._registers[keys.PRODUCER_HEARTBEAT] / 1000
         if not period_s or now_s + TOLERANCE_S < self._next_s:
             return False
@@ -391,10 +394,10 @@ class Producer:
 
 
 class Consumer:
-    """Watches other nodes' heartbeats, each from its first one on.
+    """Monitor of other nodes' heartbeats, which begins with the first heartbeat of each node.
 
     Args:
-        registers: Live.
+        registers: Live objects of the drive.
     """
 
     def __init__(self, registers: Registers) -> None:
@@ -404,7 +407,7 @@ class Consumer:
         self._lost: set[int] = set()
 
     def configure(self) -> None:
-        """Read 1016h anew; who is watched is waited for again."""
+        """Read the object 1016h again and wait for the first heartbeat of each monitored node."""
         entries = (
             watched(self._registers[key(CONSUMERS, n)]) for n in range(1, N_CONSUMED + 1)
         )  # fmt: skip
@@ -413,7 +416,7 @@ class Consumer:
         self._lost.clear()
 
     def heard(self, node: int, now_s: float) -> bool:
-        """Note a heartbeat; return whether the last lost node is back by it."""
+        """Record a heartbeat; return True if no node is lost any more because of this heartbeat."""
         if node not in self._timeouts:
             return False
         self._heard[node] = now_s
@@ -423,7 +426,7 @@ class Consumer:
         return not self._lost
 
     def overdue(self, now_s: float) -> list[int]:
-        """Return nodes that were lost since the last call."""
+        """Return the ids of the nodes that were lost since the last call."""
         lost = [
             node
             for node, heard_s in self._heard.items()
@@ -438,7 +441,7 @@ MESSAGE = struct.Struct("<HB5s")
 GENERIC, CURRENT, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MAKER = (
     1 << bit for bit in (0, 1, 2, 3, 4, 5, 7)
 )
-"""Bits of the error register."""
+"""Bits of the error register (1001h)."""
 
 _COMMUNICATION = (0x81, 0x82)
 
@@ -448,18 +451,19 @@ _GROUPS = {
 
 
 def bits_of(code: int) -> int:
-    """Return the bits of the error register for an error (CiA 301; 7xxxh, 83xxh on: CiA 402)."""
+    """Return the bits of 1001h for an error code (CiA 301; CiA 402 for 7xxxh and from 83xxh)."""
     if code >> 8 in _COMMUNICATION:
         return GENERIC | COMMUNICATION
     return GENERIC | _GROUPS.get(code >> 12, 0)
 
 
 class Errors:
-    """Present and earlier errors of the node.
+    """List of the present and earlier errors of a node.
 
     Args:
-        registers: Live.
-        send: Puts the eight bytes of an EMCY message on the bus, where that is allowed.
+        registers: Live objects of the drive.
+        send: Function that puts the eight bytes of an EMCY message on the bus, if the NMT state
+            permits EMCY.
     """
 
     def __init__(self, registers: Registers, send: Callable[[bytes], None]) -> None:
@@ -468,50 +472,53 @@ class Errors:
 
     @property
     def active(self) -> tuple[int, ...]:
-        """Codes of the present errors, in the order in which they came."""
+        """Codes of the present errors, in the order of their occurrence."""
         return tuple(self._active)
 
     def report(self, code: int, register: int | None = None, data: bytes = b"") -> None:
-        """Add an error; one that is present already is not reported again.
+        """Add an error; an error already present is not reported again.
 
         Args:
             code: Error code.
-            register: Its bits in 1001h; by default those of its code.
-            data: Up to five bytes of the maker's.
+            register: Bits of the error in 1001h; None for the bits that belong to the error code.
+            data: Up to five bytes of manufacturer data.
         """
         if code in self._active:
             return
         self._active[code] = bits_of(code) if register is None else register | GENERIC
         self._remember(code)
         self._registers[keys.ERROR_CODE] = code
-        self._tell(code, data)
+        self._send_emergency(code, data)
 
     def recovered(self, code: int | None = None) -> None:
-        """That error is gone, or all of them are."""
+        """Remove an error, or for None all errors, and report the removal."""
         if code is None:
             gone = bool(self._active)
             self._active.clear()
         else:
             gone = self._active.pop(code, None) is not None
         if gone:
-            self._tell(0, b"")
+            self._send_emergency(0, b"")
 
     def told_late(self, code: int) -> None:
-        """Report an error of a time without a bus: it is present, or it has passed."""
+        """Report an error that occurred while the node was off the bus.
+
+        An error that is no longer present is reported by two messages: occurred and gone.
+        """
         if code in self._active:
-            self._tell(code, b"")
+            self._send_emergency(code, b"")
         else:
             self.report(code)
             self.recovered(code)
 
     def forget(self) -> None:
-        """The node was switched off and on."""
+        """Clear all errors, as power off and on does."""
         self._active.clear()
         self._registers[keys.ERROR_REGISTER] = self._registers[keys.ERROR_CODE] = 0
         self.clear_history()
 
     def clear_history(self) -> None:
-        """Nothing has ever been wrong."""
+        """Clear the error list (1003h)."""
         for sub in range(HISTORY + 1):
             self._registers[key(FIELD, sub)] = 0
 
@@ -522,7 +529,7 @@ class Errors:
         registers[key(FIELD, 1)] = code
         registers[key(FIELD)] = min(HISTORY, registers[key(FIELD)] + 1)
 
-    def _tell(self, code: int, data: bytes) -> None:
+    def _send_emergency(self, code: int, data: bytes) -> None:
         register = 0
         for bits in self._active.values():
             register |= bits
@@ -534,10 +541,10 @@ Heard = Callable[[int, Any, float], None]
 
 
 class DeviceNetwork(Network):
-    """One node's view of the bus; its owner passes frames in and takes those that are sent.
+    """Network object of the library `canopen` for one node, without a bus.
 
     Args:
-        send: Puts a frame on the bus.
+        send: Function that puts a frame on the bus.
     """
 
     def __init__(self, send: Send) -> None:
@@ -546,25 +553,25 @@ class DeviceNetwork(Network):
         super().__init__()
 
     def subscribe(self, can_id: int, callback: Heard) -> None:
-        """Call this with every frame of that identifier."""
+        """Add a callback for every frame with an identifier."""
         self._listeners.setdefault(can_id, []).append(callback)
 
     def unsubscribe(self, can_id: int, callback: Heard | None = None) -> None:
-        """Remove a callback; all, where none is named."""
+        """Remove a callback of an identifier, or for None all callbacks of the identifier."""
         if callback is None:
             self._listeners.pop(can_id, None)
         elif callback in self._listeners.get(can_id, []):
             self._listeners[can_id].remove(callback)
 
     def send_message(self, can_id: int, data: Iterable[int], remote: bool = False) -> None:
-        """Put a frame on the bus at once."""
+        """Put a frame on the bus immediately."""
         self._send(can_id, bytes(data))
 
     def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Never:
-        """Raise: heartbeats and event timers go by the device's clock."""
+        """Raise `NotImplementedError`, because all periodic frames use the device clock."""
         raise NotImplementedError("the mock node sends nothing by a timer of its own")
 
     def heard(self, can_id: int, data: bytes) -> None:
-        """A frame is on the bus."""
+        """Pass a received frame to all callbacks of its identifier."""
         for callback in self._listeners.get(can_id, ()):
             callback(can_id, data, 0.0)

@@ -1,7 +1,7 @@
-"""Process data of one node: RPDOs into the registers, TPDOs out of them.
+"""Process data of one node: RPDOs are written into registers, TPDOs are sent from registers.
 
-`Exchange` is what the node uses: all PDOs, by SYNC, by events and by timers. `Rpdo` and `Tpdo` are
-single PDOs with their compiled `Layout`.
+`Exchange` contains all PDOs of the node, which are triggered by SYNC, events and timers. `Rpdo` and
+`Tpdo` are single PDOs with their compiled `Layout`.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from hil_mock_robot.cia402.dictionary import (
 from hil_mock_robot.cia402.keys import Registers, key
 
 TOO_SHORT, TOO_LONG, TIMED_OUT = 0x8210, 0x8220, 0x8250
-"""Error codes of RPDOs."""
+"""Error codes for RPDOs that are too short, too long or overdue."""
 
 
 class Exchange:
-    """RPDOs in, TPDOs out.
+    """All PDOs of one node.
 
     Args:
-        registers: Live; all of 1400h … 1A03h in it.
-        send: Puts a frame on the bus.
-        applied: Called after RPDOs have been written into the registers.
+        registers: Live objects of the drive, including all of 1400h … 1A03h.
+        send: Function that puts a frame on the bus.
+        applied: Callback that is called after RPDOs were written into the registers.
 
     Attributes:
-        missed: SYNCs in a row for which the RPDO with the target position had not come, after it
-            has come once.
+        missed: Number of consecutive SYNCs without the RPDO with the target position, after its
+            first arrival.
     """
 
     def __init__(self, registers: Registers, send: Send, applied: Callable[[], None]) -> None:
@@ -57,7 +57,7 @@ class Exchange:
         self.configure()
 
     def configure(self) -> None:
-        """Read parameters and mappings anew."""
+        """Read the parameters and mappings of all PDOs again."""
         for pdo in self._all:
             pdo.configure()
         received = [pdo for pdo in self._rpdos if pdo.cob_id >= 0]
@@ -71,23 +71,23 @@ class Exchange:
         self._by_event = [pdo for pdo in sent if not pdo.synchronous]
 
     def restart(self) -> None:
-        """The node becomes operational: nothing has come, nothing was sent."""
+        """Clear all received and sent data when the node becomes operational."""
         for pdo in self._all:
             pdo.restart()
         self.lead_by_hand()
 
     def lead_by_hand(self) -> None:
-        """A client writes targets by SDO: RPDOs are not waited for, until one comes."""
+        """Stop waiting for RPDOs until an RPDO arrives, because a client writes targets by SDO."""
         self._led, self.missed = False, 0
 
     def receives(self, can_id: int) -> bool:
-        """Whether this is the identifier of an RPDO."""
+        """Return whether an identifier is that of an RPDO."""
         return can_id in self._by_id
 
     def heard(self, can_id: int, data: bytes, now_s: float) -> int:
-        """Handle an RPDO; return its error code, 0 if it is right.
+        """Handle a received RPDO; return an error code, which is 0 if the length is right.
 
-        What is too short is not taken, of what is too long the rest is left.
+        An RPDO that is too short is ignored. If an RPDO is too long, its surplus bytes are ignored.
         """
         pdo = self._by_id[can_id]
         if len(data) < pdo.length:
@@ -98,7 +98,7 @@ class Exchange:
         return TOO_LONG if len(data) > pdo.length else 0
 
     def synced(self) -> None:
-        """Handle SYNC: apply RPDOs that have come, then send TPDOs that go by SYNC."""
+        """Handle SYNC: apply the received RPDOs, then send the synchronous TPDOs."""
         applied = [pdo for pdo in self._applied_by_sync if pdo.apply()]
         if self._leading in applied:
             self._led, self.missed = True, 0
@@ -112,7 +112,7 @@ class Exchange:
                 self._send(pdo.cob_id, data)
 
     def ticked(self, now_s: float) -> bool:
-        """Send TPDOs that go by events; return whether an RPDO is overdue."""
+        """Send event-driven TPDOs; return whether an RPDO is overdue."""
         for pdo in self._by_event:
             data = pdo.by_event(now_s)
             if data is not None:
@@ -121,18 +121,18 @@ class Exchange:
 
 
 LAST_CYCLIC = 240
-"""Transmission types up to here go by SYNC; 0 by SYNC when there is something new."""
+"""Highest transmission type triggered by SYNC; type 0 means SYNC and changed data."""
 
 TICK_TOLERANCE_S = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Compiled from 16xxh or 1Axxh.
+    """Mapping of a PDO (16xxh or 1Axxh), compiled to a `struct` layout and register keys.
 
     Attributes:
-        packing: Of all mapped objects.
-        keys: Where they are in the registers; dummies are not.
+        packing: `struct` layout of all mapped objects.
+        keys: Keys of the mapped objects in the registers, without dummies.
     """
 
     packing: struct.Struct
@@ -140,7 +140,7 @@ class Layout:
 
     @classmethod
     def of(cls, registers: Registers, index: int) -> Layout:
-        """Return the objects of a mapping."""
+        """Return the compiled mapping of the mapping object `index`."""
         raw = (registers[key(index, sub)] for sub in range(1, registers[key(index)] + 1))
         entries = [mapped(entry) for entry in raw]
         codes = "".join(
@@ -152,15 +152,16 @@ class Layout:
 
 
 class Rpdo:
-    """Process data to the drive.
+    """Receive PDO (RPDO) of a node, which is sent to the drive.
 
     Args:
-        registers: Live.
-        number: From 0.
+        registers: Live objects of the drive.
+        number: Number of the PDO, from 0.
 
     Attributes:
-        cob_id: −1 while it does not exist.
-        synchronous: It is applied at the next SYNC, else at once.
+        cob_id: COB-ID of the PDO; −1 while the PDO is not valid.
+        synchronous: Whether the PDO is applied at the next SYNC; if False, the PDO is applied
+            immediately.
     """
 
     def __init__(self, registers: Registers, number: int) -> None:
@@ -168,7 +169,7 @@ class Rpdo:
         self.configure()
 
     def configure(self) -> None:
-        """Read the parameters anew."""
+        """Read the parameters and the mapping of the RPDO again."""
         registers, index = self._registers, self._index
         self._layout = Layout.of(registers, index - RPDO_PARAMETERS + RPDO_MAPPING)
         self.cob_id = _cob_id(registers, index, self._layout)
@@ -177,26 +178,26 @@ class Rpdo:
         self.restart()
 
     def restart(self) -> None:
-        """Forget RPDOs that have come."""
+        """Drop received data."""
         self._waiting: bytes | None = None
         self._heard_s: float | None = None
 
     @property
     def keys(self) -> tuple[int, ...]:
-        """Objects that it carries."""
+        """Register keys of the objects in the RPDO."""
         return self._layout.keys
 
     @property
     def length(self) -> int:
-        """Bytes it must have at least."""
+        """Minimum number of data bytes of the RPDO."""
         return self._layout.packing.size
 
     def take(self, data: bytes, now_s: float) -> None:
-        """It has come, long enough; `apply` writes it into the registers."""
+        """Store received data of sufficient length, which `apply` writes into the registers."""
         self._waiting, self._heard_s = data, now_s
 
     def apply(self) -> bool:
-        """Write data that have come into the registers; return whether there were any."""
+        """Write received data into the registers; return whether data had been received."""
         if self._waiting is None:
             return False
         values = self._layout.packing.unpack_from(self._waiting)
@@ -205,7 +206,7 @@ class Rpdo:
         return True
 
     def overdue(self, now_s: float) -> bool:
-        """Return, once, whether its event timer has run out since it last came."""
+        """Return True, only one time, if the event timer has expired since the last reception."""
         if not self._timeout_s or self._heard_s is None:
             return False
         if now_s - self._heard_s <= self._timeout_s + TICK_TOLERANCE_S:
@@ -215,21 +216,21 @@ class Rpdo:
 
 
 def _cob_id(registers: Registers, index: int, layout: Layout) -> int:
-    """Identifier of a PDO that exists and carries something."""
+    """Return the COB-ID of a PDO; −1 if the PDO is invalid or has no mapped object."""
     cob_id = registers[key(index, COB_ID)]
     return cob_id & CAN_ID if cob_id_is_valid(cob_id) and layout.keys else -1
 
 
 class Tpdo:
-    """Process data from the drive.
+    """Transmit PDO (TPDO) of a node, which the drive sends.
 
     Args:
-        registers: Live.
-        number: From 0.
+        registers: Live objects of the drive.
+        number: Number of the PDO, from 0.
 
     Attributes:
-        cob_id: −1 while it does not exist.
-        synchronous: It is sent with SYNC, else by events.
+        cob_id: COB-ID of the PDO; −1 while the PDO is not valid.
+        synchronous: Whether the PDO is sent with SYNC; if False, the PDO is sent at events.
     """
 
     def __init__(self, registers: Registers, number: int) -> None:
@@ -237,7 +238,7 @@ class Tpdo:
         self.configure()
 
     def configure(self) -> None:
-        """Read the parameters anew."""
+        """Read the parameters and the mapping of the TPDO again."""
         registers, index = self._registers, self._index
         self._layout = Layout.of(registers, index - TPDO_PARAMETERS + TPDO_MAPPING)
         self.cob_id = _cob_id(registers, index, self._layout)
@@ -248,13 +249,13 @@ class Tpdo:
         self.restart()
 
     def restart(self) -> None:
-        """Begin to count SYNCs, and take everything for new."""
+        """Reset the count of SYNCs and treat all data as changed."""
         self._syncs = 0
         self._sent: bytes | None = None
         self._sent_s = 0.0
 
     def with_sync(self) -> bytes | None:
-        """Return the data to be sent with this SYNC."""
+        """Return the data to send with a SYNC; None if the TPDO is not sent at this SYNC."""
         if self._type == 0:
             data = self._sample()
             if data == self._sent:
@@ -268,7 +269,7 @@ class Tpdo:
         return self._sample()
 
     def by_event(self, now_s: float) -> bytes | None:
-        """Return the data to be sent now: they are new, or the event timer has run out."""
+        """Return the data to send after a change or when the event timer has expired, else None."""
         waited_s = now_s - self._sent_s + TICK_TOLERANCE_S
         if self._sent is not None and waited_s < self._inhibit_s:
             return None
@@ -284,10 +285,10 @@ class Tpdo:
 
 
 def all_rpdos(registers: Registers) -> list[Rpdo]:
-    """In the order of their numbers."""
+    """Return all RPDOs of a node in the order of their numbers."""
     return [Rpdo(registers, number) for number in range(N_PDOS)]
 
 
 def all_tpdos(registers: Registers) -> list[Tpdo]:
-    """In the order of their numbers."""
+    """Return all TPDOs of a node in the order of their numbers."""
     return [Tpdo(registers, number) for number in range(N_PDOS)]

@@ -1,9 +1,10 @@
-"""The power state machine of CiA 402 and the power stage that it switches.
+"""Power state machine of CiA 402, and the power stage that it switches.
 
-`State`, `Command` and `commanded` are the standard's table as pure functions; the numbers of the
-transitions are those of CiA 402-2 (IEC 61800-7-201), figure "power drive system FSA". `PowerStage`
-applies it to one axis: which ramp brings it to rest, and when the current is switched off.
-`Connection` is what it does when its master is lost (6007h).
+`State`, `Command` and `commanded` implement the transition table of CiA 402 as pure functions. The
+transitions have the same numbers as in CiA 402-2 (IEC 61800-7-201), figure "power drive system
+FSA". `PowerStage` applies the transition table to one axis, selects the ramp to rest, and
+determines when the current is switched off. `Connection` implements the reaction of a drive to the
+loss of the master (6007h).
 
 | state                 | event                                            | next state            |
 |-----------------------|--------------------------------------------------|-----------------------|
@@ -25,7 +26,8 @@ applies it to one axis: which ramp brings it to rest, and when the current is sw
 | fault reaction active | at rest; at once if 605Eh = 0 or without current | fault                 |
 | fault                 | fault reset, if its cause is gone                | switch on disabled    |
 
-During the ramp out of operation enabled, only disable voltage and quick stop have an effect.
+During the ramp that leaves operation enabled, only the commands disable voltage and quick stop have
+an effect.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ FAULT = 1
 
 
 class State(Enum):
-    """A state; its value is its bits in the statusword (0 to 3, 5 and 6)."""
+    """State of the drive; the value contains the bits 0 to 3, 5 and 6 of the statusword."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -56,7 +58,7 @@ class State(Enum):
 
 
 class Command(Enum):
-    """A command in the controlword."""
+    """Command that a controlword contains."""
 
     NONE = "nothing"
     SHUTDOWN = "shutdown"
@@ -68,7 +70,7 @@ class Command(Enum):
 
 
 class Transition(IntEnum):
-    """A change of state by its number in the standard; those without a command are in `EVENTS`."""
+    """State transition by its number in CiA 402; automatic transitions are in `EVENTS`."""
 
     STARTED = 0
     INITIALISED = 1
@@ -90,18 +92,18 @@ class Transition(IntEnum):
 
 
 POWERED = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE})
-"""The motor may carry current."""
+"""States in which the motor can carry current."""
 
 FAULTED = frozenset({State.FAULT_REACTION_ACTIVE, State.FAULT})
 FAULT_RESET_BIT, HALT_BIT = 0x0080, 0x0100
 
 NEW_SETPOINT_BIT, AT_ONCE_BIT, RELATIVE_BIT = 0x0010, 0x0020, 0x0040
-"""Bits of the controlword beside the commands; the last three belong to profile position."""
+"""Bits of the controlword that are not commands; bits 4 to 6 are for profile position."""
 
 VOLTAGE_ENABLED, WARNING, REMOTE = 0x0010, 0x0080, 0x0200
 
 TARGET_REACHED, INTERNAL_LIMIT, MODE_BIT_12, MODE_BIT_13 = 0x0400, 0x0800, 0x1000, 0x2000
-"""Bits of the statusword; what 12 and 13 say depends on the mode."""
+"""Bits of the statusword; the meaning of bits 12 and 13 depends on the mode."""
 
 _T = Transition
 
@@ -112,7 +114,7 @@ EVENTS: dict[Transition, tuple[State | None, State]] = {
     _T.FAULT: (None, State.FAULT_REACTION_ACTIVE),
     _T.FAULT_REACTION_ENDED: (State.FAULT_REACTION_ACTIVE, State.FAULT),
 }
-"""Transitions that a drive makes on its own: from (None: from anywhere) and to."""
+"""Automatic transitions of a drive: initial state (None for any state) and final state."""
 
 _COMMANDS = (
     (0x82, 0x00, Command.DISABLE_VOLTAGE),
@@ -121,13 +123,13 @@ _COMMANDS = (
     (0x8F, 0x07, Command.SWITCH_ON),
     (0x8F, 0x0F, Command.ENABLE_OPERATION),
 )
-"""Mask, value and command. Switch on is also what disables the operation."""
+"""Commands by mask and value of the controlword; switch on also means disable operation."""
 
 
 def command_of(controlword: int, before: int) -> Command:
-    """Return the command in a controlword that follows the one `before` it.
+    """Return the command in a controlword that was sent after the controlword `before`.
 
-    A fault reset is a rising edge of bit 7; as long as that bit stays set, there is no command.
+    A fault reset is a rising edge of bit 7; while that bit remains set, there is no command.
     """
     if controlword & FAULT_RESET_BIT:
         return Command.NONE if before & FAULT_RESET_BIT else Command.FAULT_RESET
@@ -172,13 +174,13 @@ _TABLE: dict[State, dict[Command, tuple[Transition, State]]] = {
 def commanded(
     state: State, command: Command, *, stays_stopped: bool = False
 ) -> tuple[Transition, State] | None:
-    """Where a command leads from a state; None where it is not legal, and then ignored.
+    """Return transition and final state of a command; None if a state does not permit it.
 
     Args:
         state: Present state.
-        command: See `command_of`.
-        stays_stopped: The quick stop option code (605Ah) is 5 to 8: only then does transition 16
-            lead out of a quick stop back to where the drive was.
+        command: Command from `command_of`.
+        stays_stopped: Whether the quick stop option code (605Ah) is from 5 to 8. Only with the
+            codes 5 to 8, transition 16 leads from a quick stop back to operation enabled.
     """
     found = _TABLE.get(state, {}).get(command)
     if found is not None and found[0] is Transition.ENABLE_FROM_QUICK_STOP and not stays_stopped:
@@ -187,32 +189,34 @@ def commanded(
 
 
 COASTING_STEPS = 50
-"""How long a motor without current turns before the brake takes it."""
+"""Number of steps for which a motor without current turns freely before the brake closes."""
 
 ENABLED = State.OPERATION_ENABLED
 
 STAYS = 5
-"""605Ah from here on: quick stop stays active when the axis rests."""
+"""Lowest quick stop option code (605Ah) with which an axis at rest stays in quick stop active."""
 
 _OVERRIDING = (Transition.QUICK_STOP, Transition.DISABLE_FROM_ENABLED)
-"""What does not wait for a ramp to end."""
+"""State transitions that do not wait for the end of a ramp."""
 
 
 class PowerStage:
-    """The state machine at work on an axis.
+    """Power stage of one axis, which the state machine controls.
 
     Args:
-        axis: Of this drive.
-        begun: Called when the operation is enabled, and when it goes on after a quick stop.
-        fault_reset: Called when a master resets a fault; whether it may, or its cause is there yet.
+        axis: Axis of the drive.
+        begun: Callback that is called when the operation is enabled or resumes after a quick stop.
+        fault_reset: Function that is called for a fault reset and returns whether the cause of the
+            fault is gone.
 
     Attributes:
-        state: See `states`.
-        powered: The motor may carry current.
-        word: What the statusword says of the state.
-        stop: What brings the axis to rest, as long as that takes (605Ah = 5 to 8: stays).
-        halt: The same by bit 8 of the controlword.
-        coasting: Steps for which the motor still turns without current.
+        state: Present state of the drive.
+        powered: Whether the motor can carry current.
+        word: Bits of the statusword that show the state.
+        stop: Present ramp to rest; None if there is no ramp or the ramp is complete. With 605Ah = 5
+            to 8 the ramp remains stored.
+        halt: Present ramp of a halt by bit 8 of the controlword; None without a halt.
+        coasting: Remaining number of steps for which the motor turns without current.
     """
 
     def __init__(
@@ -222,7 +226,7 @@ class PowerStage:
         self.switch_off()
 
     def switch_off(self) -> None:
-        """All is forgotten, the brake is closed."""
+        """Reset the power stage, with a closed brake."""
         self.stop: Stop | None = None
         self.halt: Ramp | None = None
         self.coasting = 0
@@ -231,18 +235,18 @@ class PowerStage:
 
     @property
     def status_bits(self) -> int:
-        """Return the state's bits of the statusword; bit 10 while the axis is being stopped."""
+        """Bits of the statusword for the state, with bit 10 if a stop or a halt is complete."""
         stop, halt = self.stop, self.halt
         rests = stop.rests if stop is not None else halt is not None and halt.done
         return self.word | TARGET_REACHED * rests
 
     def enter(self, state: State) -> None:
-        """Be in a state."""
+        """Enter a state."""
         self.state, self.powered, self._settled = state, state in POWERED, False
         self.word = state.value | REMOTE | VOLTAGE_ENABLED
 
     def obey(self) -> bool:
-        """Act on the controlword as it stands; whether a halt has just ended."""
+        """Apply the present controlword; return whether this ended a halt."""
         word, before = self._axis.registers[keys.CONTROLWORD], self._word
         if word == before and self._settled:
             return False
@@ -254,12 +258,12 @@ class PowerStage:
         return bool((word ^ before) & HALT_BIT) and self.state is ENABLED and self._turn_halt()
 
     def overrule(self, command: Command) -> None:
-        """Command this in place of the controlword, which then counts only when it is another."""
+        """Execute a command and ignore the present controlword until it changes."""
         self.command(command)
         self._overruled = self._axis.registers[keys.CONTROLWORD]
 
     def command(self, command: Command) -> None:
-        """Make the transition that it leads to, if any."""
+        """Execute the transition of a command, if the present state permits a transition."""
         stays = option_of(self._axis.registers, keys.QUICK_STOP_OPTION) >= STAYS
         found = commanded(self.state, command, stays_stopped=stays)
         if found is None:
@@ -271,7 +275,7 @@ class PowerStage:
             self._make(transition, to)
 
     def react(self, keeps_torque: bool) -> None:
-        """A fault: by 605Eh, from where the axis' set-point is, if it has torque to stop with."""
+        """Start the fault reaction of 605Eh; an axis without torque enters fault immediately."""
         option = option_of(self._axis.registers, keys.FAULT_REACTION_OPTION)
         if keeps_torque and option:
             self._begin_stop(option, State.FAULT)
@@ -281,7 +285,7 @@ class PowerStage:
             self.enter(State.FAULT)
 
     def without(self, steps: int) -> Demand:
-        """Return the demand without power: the motor turns freely, then the brake closes."""
+        """Return the demand without power: the motor turns freely, until the brake closes."""
         rows = rows_at_rest(self._axis.q, steps)
         if self.coasting <= 0:
             return Demand(rows, math.nan, True)
@@ -289,7 +293,7 @@ class PowerStage:
         return Demand(rows, 0.0, False)
 
     def look(self, qd: float, steps: int) -> None:
-        """The joint is measured at `qd` [rad/s]: a stop may be over."""
+        """Check whether a stop is complete at a measured joint speed `qd` [rad/s]."""
         stop = self.stop
         if stop is not None and stop.over(qd, steps) and stop.then is not None:
             self.stop = None
@@ -327,7 +331,7 @@ class PowerStage:
             self._turn_halt()
 
     def _leave(self, option_key: int, to: State) -> None:
-        """By its option code: along a ramp and then, or at once without current."""
+        """Leave operation enabled by an option code: along a ramp, or at once without current."""
         option = option_of(self._axis.registers, option_key)
         if option:
             self._begin_stop(option, to)
@@ -351,13 +355,13 @@ class PowerStage:
         self.stop = Stop(self._ramp(option), then)
 
     def _lose(self, to: State) -> None:
-        """Without current from now on."""
+        """Switch the current off and enter a state."""
         self.stop = self.halt = None
         self.coasting = COASTING_STEPS
         self.enter(to)
 
     def _turn_halt(self) -> bool:
-        """Begin or end a halt by bit 8; return whether one has ended."""
+        """Begin or end a halt by bit 8; return whether a halt has ended."""
         if self._word & HALT_BIT:
             self.halt = self._ramp(option_of(self._axis.registers, keys.HALT_OPTION))
             return False
@@ -368,19 +372,20 @@ class PowerStage:
 AT_REST_RAD_S = 0.005
 
 SETTLING_STEPS = 200
-"""So long after its ramp a joint that does not come to rest is left to the brake."""
+"""Number of steps after the ramp before the brake stops a joint that still moves."""
 
 
 class Stop:
-    """A ramp, and the state after it.
+    """Ramp to rest, and the state that follows the ramp.
 
     Args:
-        ramp: Along which the axis slows down.
-        then: State when it rests; None where it stays (605Ah = 5 to 8).
+        ramp: Ramp along which the axis decelerates.
+        then: State after the stop; None to remain in the present state (605Ah = 5 to 8).
 
     Attributes:
-        ramp, then: As given.
-        rests: It is over.
+        ramp: Ramp along which the axis decelerates.
+        then: State after the stop, or None.
+        rests: Whether the stop is complete.
     """
 
     def __init__(self, ramp: Ramp, then: State | None) -> None:
@@ -389,7 +394,7 @@ class Stop:
         self._waited = 0
 
     def over(self, qd: float, steps: int) -> bool:
-        """Whether a joint that is measured at `qd` [rad/s] has come to rest."""
+        """Return whether a joint with a measured speed `qd` [rad/s] has come to rest."""
         if self.ramp.done and not self.rests:
             self._waited += steps
             self.rests = abs(qd) < AT_REST_RAD_S or self._waited > SETTLING_STEPS
@@ -397,31 +402,31 @@ class Stop:
 
 
 def slowed(axis: Axis, ramp: Ramp, steps: int) -> Demand:
-    """Return the demand of an axis along a ramp; its set-point follows."""
+    """Return the demand of an axis along a ramp; also update the set-point of the axis."""
     rows = ramp.advance(steps)
     axis.demand_q, axis.demand_qd = ramp.q, ramp.qd
     return Demand(rows, math.nan, False, 0.0, axis.torque_limit)
 
 
 def option_of(registers: Registers, where: int) -> int:
-    """Return an option code; makers' own codes (below 0) count as 0."""
+    """Return the value of an option code; manufacturer-specific codes (below 0) count as 0."""
     return max(0, registers[where])
 
 
 TAKEN_OFF = 0x8100
-"""Error code: communication; the NMT master has taken an enabled drive out of operation."""
+"""Error code (communication) of an enabled drive whose NMT state operational was ended."""
 
 COMMANDS = {2: Command.DISABLE_VOLTAGE, 3: Command.QUICK_STOP}
-"""6007h; 0 is nothing."""
+"""Command that each value of 6007h triggers; 0 means no reaction."""
 
 
 class Connection:
-    """The reaction to a connection that is lost.
+    """Reaction of a drive to a lost connection.
 
     Args:
-        registers: Live.
-        power: Of the same drive.
-        fault: Lets the drive fail with an error code.
+        registers: Live objects of the drive.
+        power: Power stage of the same drive.
+        fault: Function that starts a fault with an error code.
     """
 
     def __init__(
@@ -430,9 +435,10 @@ class Connection:
         self._registers, self._power, self._fault = registers, power, fault
 
     def lost(self, code: int) -> None:
-        """React to an error of the connection: heartbeat or RPDOs overdue, bus off.
+        """React to an error of the connection, such as an overdue heartbeat or RPDO, or bus-off.
 
-        The controlword that the master has left behind counts no more until it is another one.
+        After the reaction, the last controlword of the master has no effect until the controlword
+        changes.
         """
         option = option_of(self._registers, keys.ABORT_CONNECTION_OPTION)
         if option == FAULT:
@@ -441,6 +447,6 @@ class Connection:
             self._power.overrule(COMMANDS[option])
 
     def taken_off(self) -> None:
-        """The NMT state operational is left, or a reset is to come: the same where it has power."""
+        """React to the end of the NMT state operational, or to a reset, if the drive has power."""
         if self._power.powered:
             self.lost(TAKEN_OFF)

@@ -1,4 +1,4 @@
-"""Access by SDO: the transfers of `canopen`'s server, with a mock drive's aborts."""
+"""SDO server of a mock drive, based on that of `canopen`, with the aborts of a drive."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ MOST_EXPEDITED = 4
 
 
 class SdoServer(server.SdoServer):
-    """Serves one client.
+    """SDO server of a node for one client.
 
     Args:
-        node: Whose objects (`get_data`, `set_data`).
-        node_id: Of it.
+        node: Node with the objects (`get_data`, `set_data`).
+        node_id: Node id of the node.
     """
 
     def __init__(self, node: Any, node_id: int) -> None:
@@ -40,7 +40,7 @@ class SdoServer(server.SdoServer):
         self._open_transfer: int | None = None
 
     def on_request(self, can_id: int, data: bytes, timestamp: float) -> None:
-        """A frame of a client."""
+        """Handle a request frame of a client."""
         command = data[0] & COMMAND
         if command not in (REQUEST_SEGMENT_UPLOAD, REQUEST_SEGMENT_DOWNLOAD):
             # A new request or an abort cancels the open transfer.
@@ -51,21 +51,21 @@ class SdoServer(server.SdoServer):
         super().on_request(can_id, data, timestamp)  # type: ignore[no-untyped-call]
 
     def init_upload(self, request: bytes) -> None:
-        """Begin to read."""
+        """Begin a transfer in which the client reads an object."""
         self._buffer = bytearray()
         super().init_upload(request)  # type: ignore[no-untyped-call]
         self._open_transfer = REQUEST_SEGMENT_UPLOAD if self._buffer else None
 
     def segmented_upload(self, command: int) -> None:
-        """Send the next segment; the transfer ends with the last one."""
+        """Send the next segment of a read transfer, which ends with the last segment."""
         super().segmented_upload(command)  # type: ignore[no-untyped-call]
         if not self._buffer:
             self._open_transfer = None
 
     def init_download(self, request: bytes) -> None:
-        """Begin to write; four bytes without a length fit an object of any length."""
+        """Begin a write transfer; four bytes without a stated length fit any object."""
         command, index, sub = SDO_STRUCT.unpack_from(request)
-        self._index, self._subindex = index, sub  # which an abort names
+        self._index, self._subindex = index, sub  # used in an abort message
         entry = by_key().get(index << 8 | sub)
         if command & EXPEDITED and not command & SIZE_SPECIFIED and entry and entry.type in CODES:
             command |= SIZE_SPECIFIED | (MOST_EXPEDITED - entry.packing.size) << 2
@@ -77,7 +77,7 @@ class SdoServer(server.SdoServer):
         self._open_transfer = None if command & EXPEDITED else REQUEST_SEGMENT_DOWNLOAD
 
     def segmented_download(self, command: int, request: bytes) -> None:
-        """Take a segment; with the last one the object is written, and nothing is going on."""
+        """Receive a segment of a write transfer; the last segment writes the object."""
         super().segmented_download(command, request)  # type: ignore[no-untyped-call]
         if command & NO_MORE_DATA:
             self._open_transfer = None

@@ -1,9 +1,10 @@
-"""The station: all drives of one arm on one bus, and the arm between them.
+"""Mock station: all drives of one arm on one bus, together with the simulated arm.
 
-`Station` says what a frame, a SYNC and time do to them; it has one thread, no socket and no clock
-of its own. `Unit` is one drive with its node and its line. `DeviceClock` counts device time, which
-SYNC carries; the caller says what time it is. `Routes` and `Siblings` lead frames to the drives
-that take notice of them, `Marker` and `MotionWatch` tell when a motion begins and ends.
+`Station` applies frames, SYNCs and time to the drives and the arm. `Station` is used by one thread,
+and has no socket and no clock. `Unit` is one drive with its node and its line to the bus.
+`DeviceClock` counts device time, which SYNC advances; the caller passes wall time. `Routes` and
+`Siblings` deliver each frame to the drives that receive this frame. `Marker` and `MotionWatch`
+detect the beginning and end of a motion.
 """
 
 from __future__ import annotations
@@ -30,11 +31,14 @@ SYNC = 0x080
 DEFAULT_PERIOD_S = 0.004
 
 MOUNT_STEPS = 20
-"""Device time after the last write to a payload object before the load hangs at the flange: it is
-written in parts, and each change of the plant costs a few milliseconds."""
+"""Number of steps from the last write of a payload object to the change of the payload.
+
+A payload is written in parts, and each change of the simulated arm takes a few milliseconds. The
+delay joins the parts to one change.
+"""
 
 TICK_STEPS = 5
-"""How often heartbeats, event timers and the watch on the master are looked at, in device time."""
+"""Period of the checks of heartbeats, event timers and the master, in steps of device time."""
 
 PAYLOAD = (keys.PAYLOAD_MASS, keys.PAYLOAD_X, keys.PAYLOAD_Y, keys.PAYLOAD_Z)
 Event = Callable[[str, dict[str, int | float | str]], None]
@@ -42,24 +46,25 @@ PERIOD = (keys.INTERPOLATION_VALUE, keys.INTERPOLATION_INDEX, keys.CYCLE_PERIOD)
 
 
 class Station:
-    """All axes of one arm on one bus; one thread, no socket, no clock of its own.
+    """All axes of one arm on one bus, used by one thread, without socket and clock.
 
     Args:
-        body: The arm.
+        body: Simulated arm.
         nodes: Node id of each axis.
-        put: Puts a frame on the bus.
-        clock: Device time.
-        master_id: Node id under which the master announces what it does.
-        mounted: Load that really hangs at the flange; the declared one when None.
-        flush: Lets the bus have what was put on it, before the arm is moved.
+        put: Function that puts a frame on the bus.
+        clock: Clock of device time.
+        master_id: Node id of the master's marker.
+        mounted: True payload at the flange; None for the payload that the master declares.
+        flush: Function that sends queued frames before the arm is moved.
 
     Attributes:
-        axes: The drives.
-        body, clock: As given.
-        marker: What the master has announced.
-        declared: The load that was written into the payload objects.
-        listeners: Called with each event: its name and details.
-        passed: Called after each block of steps, with their number.
+        axes: Drives of the arm.
+        body: Simulated arm.
+        clock: Clock of device time.
+        marker: Last marker frame of the master.
+        declared: Payload that was written into the payload objects.
+        listeners: Callbacks for events, called with the name and the details of an event.
+        passed: Callbacks that are called after each block of steps, with the number of steps.
     """
 
     def __init__(
@@ -94,12 +99,12 @@ class Station:
         return Unit(number, node_id, registers, joint, voice, self._told, self._written)
 
     def boot(self) -> None:
-        """Switch the drives on."""
+        """Switch all drives on."""
         for axis in self.axes:
             axis.node.boot()
 
     def heard(self, can_id: int, data: bytes, now_s: float) -> None:
-        """Handle a frame of the bus that no drive of this station has sent."""
+        """Handle a received frame, which must not come from a drive of this station."""
         if can_id == SYNC:
             self._synced(now_s)
         else:
@@ -111,7 +116,7 @@ class Station:
         self._siblings.listen(self._routes)
 
     def lapsed(self, now_s: float) -> None:
-        """Wall time has passed: the drives' own timer, where SYNC stays away."""
+        """Advance wall time; without SYNC the drives are advanced by their own timer."""
         was_synced = self.clock.synced
         steps = self.clock.own(now_s)
         if was_synced and not self.clock.synced:
@@ -122,13 +127,13 @@ class Station:
         self._siblings.listen(self._routes)
 
     def mount(self, payload: Payload | None) -> None:
-        """Mount a load, whatever is declared; None for the declared one."""
+        """Mount a payload, whatever the master declares; None for the declared payload."""
         self._mounted = payload
         self.body.mount(self.mounted)
 
     @property
     def mounted(self) -> Payload:
-        """The load that really hangs at the flange."""
+        """True payload at the flange."""
         return self.declared if self._mounted is None else self._mounted
 
     def tell(self, event: str, **details: int | float | str) -> None:
@@ -144,12 +149,12 @@ class Station:
         for axis in self.axes:
             if axis.synced:
                 axis.node.synced()
-        self._flush()  # the master reads the answers while the arm moves on
+        self._flush()  # the master reads the answers during the next steps of the arm
         if steps:
             self._advance(steps, synced=True)
 
     def _release(self) -> None:
-        """Send delayed frames that are due at the drives' present time."""
+        """Send delayed frames that are due at the present device time."""
         for axis in self.axes:
             if not axis.line.sound:
                 axis.line.release()
@@ -205,7 +210,7 @@ class Station:
             self._declare()
 
     def _look_at_period(self) -> None:
-        """Take the period of the first drive that has one set, preferably an operational one."""
+        """Use the SYNC period that a drive has set, preferably an operational drive."""
         ordered = sorted(self.axes, key=lambda axis: not axis.operational)
         periods = (axis.drive.period_s for axis in ordered)
         self._period_s = next((period for period in periods if period), DEFAULT_PERIOD_S)
@@ -225,27 +230,34 @@ class Station:
 
 
 Told = Callable[[int, str, int], None]
-"""Axis from 0, what happened there (`emergency`, `nmt`, `booted`, `connection_lost`), a code."""
+"""Callback for an event of a drive, with axis (from 0), event name and code.
+
+The possible event names are `emergency`, `nmt`, `booted` and `connection_lost`.
+"""
 
 NMT = 0x000
 
 
 class Unit:
-    """A drive with everything that belongs to it.
+    """Drive with its node and its line to the bus.
 
     Args:
-        number: From 0.
-        node_id: On the bus.
-        registers: As after power-on.
-        joint: Of its axis.
-        put: Puts a frame on the bus.
-        told: Called with what happens.
-        written: Called with axis and key of every object that a client has written.
+        number: Number of the axis, from 0.
+        node_id: Node id on the bus.
+        registers: Live objects, with the values after power-on.
+        joint: Properties of the joint.
+        put: Function that puts a frame on the bus.
+        told: Callback for events of the drive.
+        written: Callback with axis and key of every object that a client has written.
 
     Attributes:
-        number, node_id, registers: As given.
-        line, node, drive: Its parts.
-        follows_sync: Whether it takes notice of SYNC.
+        number: Number of the axis, from 0.
+        node_id: Node id on the bus.
+        registers: Live objects of the drive.
+        line: Connection of the drive to the bus.
+        node: CANopen node.
+        drive: Mock drive of the axis.
+        follows_sync: Whether the drive reacts to SYNC.
     """
 
     def __init__(
@@ -276,35 +288,35 @@ class Unit:
 
     @property
     def operational(self) -> bool:
-        """Whether it exchanges process data."""
+        """Whether the drive exchanges process data."""
         return self._operational
 
     @property
     def synced(self) -> bool:
-        """Whether a SYNC reaches it."""
+        """Whether SYNC reaches the drive."""
         return self.follows_sync and not self.line.cuts
 
     def bus_off(self) -> None:
-        """Let a drive's CAN controller go bus off."""
+        """Simulate bus-off of the drive's CAN controller."""
         self.line.cuts.add("bus_off")
         self.line.look()
         self.node.bus_off()
 
     def recover(self) -> None:
-        """It is back on the bus."""
+        """Put the drive back on the bus."""
         if "bus_off" in self.line.cuts:
             self.line.cuts.discard("bus_off")
             self.line.look()
             self.node.bus_back()
 
     def power_off(self) -> None:
-        """Nothing works any more, the brake is on."""
+        """Switch the supply of the drive off; the brake closes."""
         self.line.cuts.add("power")
         self.line.look()
         self.drive.reset()
 
     def power_on(self) -> None:
-        """Start a drive anew, without its settings."""
+        """Switch the supply of the drive on; its settings are lost."""
         self.line.cuts.discard("power")
         self.line.look()
         self.node.heard(NMT, bytes([RESET_NODE, self.node_id]))
@@ -343,7 +355,7 @@ CAN_ID = 0x7FF
 
 
 class Routes:
-    """Finds the receivers of a frame, and keeps them until a COB-ID changes.
+    """Cache of the drives that receive each identifier, valid until a COB-ID changes.
 
     Args:
         units: All drives.
@@ -361,7 +373,7 @@ class Routes:
         return found
 
     def forget(self) -> None:
-        """Parameters of PDOs have changed."""
+        """Clear the cache after a change of PDO parameters."""
         self._known.clear()
 
     def _look(self, can_id: int) -> tuple[Unit, ...]:
@@ -378,7 +390,7 @@ def _received(unit: Unit) -> set[int]:
 
 
 def changed_by(where: int) -> bool:
-    """Whether writing the object of this key changes routes."""
+    """Return whether a write of the object with this key changes the receivers of frames."""
     return RPDO_PARAMETERS <= where >> 8 < RPDO_PARAMETERS + N_PDOS
 
 
@@ -386,10 +398,10 @@ HEARTBEATS = range(0x701, 0x780)
 
 
 class Siblings:
-    """Delivers frames of drives to the other drives, once all have handled the last frame.
+    """Delivery of frames from drive to drive, after all drives have handled the last frame.
 
     Args:
-        put: Sends a frame on the bus, to all others.
+        put: Function that sends a frame on the bus.
     """
 
     def __init__(self, put: Send) -> None:
@@ -397,7 +409,7 @@ class Siblings:
         self._said: deque[tuple[int, int, bytes]] = deque()
 
     def voice(self, number: int) -> Send:
-        """By which the drive of that number (from 0) sends."""
+        """Return the function by which the drive with a number (from 0) sends frames."""
 
         def say(can_id: int, data: bytes) -> None:
             self._put(can_id, data)
@@ -407,7 +419,7 @@ class Siblings:
         return say
 
     def listen(self, routes: Routes) -> None:
-        """Deliver frames to the other drives: linked PDOs, watched heartbeats."""
+        """Deliver frames to the other drives: linked PDOs, monitored heartbeats."""
         while self._said:
             number, can_id, data = self._said.popleft()
             for unit in routes.to(can_id):
@@ -416,36 +428,39 @@ class Siblings:
 
 
 PATIENCE_S = 0.2
-"""Wall time without SYNC before the drives go by their own timer. Until then their time stands
-still: a master that a busy computer held up goes on as if nothing had been."""
+"""Wall time without SYNC before the drives use their own timer [s].
+
+During the wait device time stands still, so that pauses of a master on a busy computer have no
+effect on the drives.
+"""
 
 IDLE_PATIENCE_S = 0.02
-"""The same while no drive is operational: nothing is interrupted then."""
+"""Wall time without SYNC before the drives use their own timer, if no drive is operational [s]."""
 
 PERIODS_MISSED = 2.0
 
 CARRIED = 1e-9
-"""What sums of periods may lack of a whole step by rounding, in steps."""
+"""Tolerance of rounding errors in sums of periods, in steps."""
 
 LONGEST_STALL_S = 0.1
-"""What the drives' own timer catches up at once; a computer that slept longer lost that time."""
+"""Longest wall time that the drives' own timer makes up for in one call [s]."""
 
 
 class DeviceClock:
-    """Counts the steps of `STEP_S` that have passed for the drives.
+    """Clock of device time, in steps of `STEP_S`.
 
-    While there is SYNC, every one of them is a period, however long it took on the wall: a master
-    may go faster or slower than real time. Without, time goes on as on the wall.
+    Each SYNC advances device time by one period, whatever the wall time, because a master can be
+    faster or slower than real time. Without SYNC, device time advances with wall time.
 
     Args:
-        now_s: Wall time, monotonic.
-        patience_s: Wall time without SYNC after which the drives' own timer takes over; never
-            less than two periods.
+        now_s: Wall time, monotonic [s].
+        patience_s: Wall time without SYNC after which the drives use their own timer; at least two
+            periods [s].
 
     Attributes:
-        steps: Passed since the start.
-        synced: Whether SYNC carries the time.
-        syncs: How many there were.
+        steps: Number of steps since the start.
+        synced: Whether SYNC advances device time.
+        syncs: Number of SYNCs since the start.
     """
 
     def __init__(self, now_s: float, patience_s: float = PATIENCE_S) -> None:
@@ -462,11 +477,11 @@ class DeviceClock:
         return self.steps * STEP_S
 
     def sync(self, now_s: float, period_s: float) -> int:
-        """A SYNC has come; how many steps pass with it.
+        """Handle a SYNC; return the number of steps that it advances.
 
         Args:
-            now_s: Wall time.
-            period_s: What the drives take for the time between two SYNCs.
+            now_s: Wall time [s].
+            period_s: Configured period of the drives between two SYNCs [s].
         """
         self.synced = True
         self.syncs += 1
@@ -475,11 +490,11 @@ class DeviceClock:
         return self._pass(period_s)
 
     def own(self, now_s: float) -> int:
-        """Wall time has passed without SYNC; how many steps pass with it."""
+        """Advance wall time without a SYNC; return the steps by which the own timer advances."""
         if self.synced:
             if now_s < self._gives_up_s:
                 return 0
-            # The silence was waited out, it is not made up for: a SYNC may have been meant late.
+            # The silence so far is not caught up, because the SYNC was possibly only delayed.
             self.synced, self._own_s = False, self._gives_up_s
         self._own_s = max(self._own_s, now_s - LONGEST_STALL_S)
         steps = int((now_s - self._own_s) / STEP_S + CARRIED)
@@ -488,15 +503,15 @@ class DeviceClock:
         return steps
 
     def idle(self) -> None:
-        """No drive is operational any more: the own timer takes over soon."""
+        """Shorten the wait for SYNC when no drive is operational any more."""
         self._gives_up_s = min(self._gives_up_s, self._synced_s + IDLE_PATIENCE_S)
 
     def slept(self, lasted_s: float) -> None:
-        """Discount a time [s] in which the mock could not look for SYNC."""
+        """Extend the wait for SYNC by a time [s] in which the mock could not receive frames."""
         self._gives_up_s += lasted_s
 
     def wait_s(self, now_s: float, steps: int) -> float:
-        """Wall time until the own timer has so many steps to make; 0 when it is due."""
+        """Return the wall time until the own timer is due for `steps` steps [s]; 0 if overdue."""
         due = self._gives_up_s if self.synced else self._own_s
         return max(0.0, due + steps * STEP_S - now_s)
 
@@ -509,24 +524,25 @@ class DeviceClock:
 
 
 FRAME = struct.Struct("<iH")
-"""Step of the plan and status."""
+"""Layout of the marker: step of the plan (int32) and status (uint16)."""
 
 TPDO1 = 0x180
 
 MOVING = 1
-"""Bit of the status: the motion of the step is still running."""
+"""Bit of the marker's status that is set while the motion of the step is running."""
 
 
 class Marker:
-    """The segment and status that the master announces.
+    """Marker with the segment and the status that the master announces.
 
     Args:
-        master_id: Its node id.
+        master_id: Node id of the master.
 
     Attributes:
-        can_id: Under which it announces.
-        known: Whether it has announced anything yet.
-        segment, status: What it said last.
+        can_id: Identifier of the marker frame.
+        known: Whether a marker was received.
+        segment: Last announced step of the plan.
+        status: Last announced status.
     """
 
     def __init__(self, master_id: int) -> None:
@@ -540,29 +556,30 @@ class Marker:
         return bool(self.status & MOVING)
 
     def heard(self, data: bytes) -> None:
-        """Handle a frame with the marker's identifier; other lengths are ignored."""
+        """Handle a frame with the marker's identifier; frames of a different length are ignored."""
         if len(data) == FRAME.size:
             self.segment, self.status = FRAME.unpack(data)
             self.known = True
 
 
 STANDSTILL_S = 0.1
-"""Device time without a new set-point after which the next one begins a motion."""
+"""Device time without a set-point change after which a change begins a new motion [s]."""
 
 SETPOINTS = (keys.TARGET_POSITION, keys.TARGET_VELOCITY, keys.TARGET_TORQUE)
 
 
 class MotionWatch:
-    """Detects when a motion begins and ends.
+    """Detector of the beginning and end of a motion.
 
-    A master that announces what it does is believed; else set-points that change are a motion.
+    The marker of the master determines the motion. If the master sends no marker, changing
+    set-points count as a motion.
 
     Args:
-        station: What it looks at; call `passed` after every block of steps.
+        station: Station to observe; `passed` must be called after every block of steps.
 
     Attributes:
-        moving: Whether one is under way.
-        listeners: Called with whether a motion begins.
+        moving: Whether a motion is running.
+        listeners: Callbacks with True at the beginning and False at the end of a motion.
     """
 
     def __init__(self, station: Station) -> None:
@@ -573,7 +590,7 @@ class MotionWatch:
         self.listeners: list[Callable[[bool], None]] = []
 
     def passed(self, steps: int) -> None:
-        """Steps have passed."""
+        """Update the state after a number of steps."""
         marker = self._station.marker
         moving = marker.moving if marker.known else self._changing(steps)
         if moving is not self.moving:

@@ -1,1 +1,1 @@
-"""The embedded mock: a robot inside the process that uses it (station: `driver: mock`)."""
+"""Embedded mock: a simulated robot inside the process that uses it (station: `driver: mock`)."""

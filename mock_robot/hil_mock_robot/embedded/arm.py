@@ -1,7 +1,7 @@
-"""The arm of the embedded robot: commands in, state rows out.
+"""Arm of the embedded robot: commands as input, state rows as output.
 
-`Arm` has commands, faults and brakes of a `ServoArm`, `Motion` the set-points that are played back,
-and `Sampling` makes state rows of commands and measurements.
+`Arm` adds commands, faults and brakes to a `ServoArm`, `Motion` contains the set-points to play,
+and `Sampling` converts commands and measurements to state rows.
 """
 
 from __future__ import annotations
@@ -26,37 +26,37 @@ from hil_mock_robot.plant.records import EMERGENCY_STOP, RUNAWAY, timing_of
 from hil_mock_robot.plant.sensors import Sensors
 from hil_mock_robot.plant.truth import published
 
-if TYPE_CHECKING:  # loading it takes a second, and `connect` alone needs it
+if TYPE_CHECKING:  # importing takes a second, and only `connect` needs it
     from hil_mock_robot.plant.servo_arm import ServoArm
     from hil_mock_robot.plant.simulation import Samples, Simulation
 
 
 FULL_BRAKES = 1.0
-"""Share of the acceleration limit of an emergency stop."""
+"""Deceleration of an emergency stop, as a share of the acceleration limit."""
 
 BRAKING_SHARE = 0.5
-"""Share of the acceleration limit used to stop."""
+"""Deceleration of a normal stop, as a share of the acceleration limit."""
 
 
 class Arm:
-    """One drawn robot, before and after it is switched on.
+    """Arm of one mock robot, before and after power-on.
 
     Args:
-        model: A built-in arm.
-        options: Of the station.
+        model: Name of a built-in arm.
+        options: Options of the robot in the station file.
 
     Attributes:
-        truth: Its true parameters.
-        description: Its published description.
+        truth: True parameters of the robot.
+        description: Published description of the arm.
         rate_hz: Samples per second.
-        motion: The set-points of its controller.
-        gravity: In the base frame [m/s²].
-        servo: Arm under its servo; None until it is switched on.
-        fault: 0, or a code of `FAULTS` until `switch_on`.
-        locked: Whether the mechanical brakes hold it.
+        motion: Set-points of the controller.
+        gravity: Gravity in the base frame [m/s²].
+        servo: Arm under its servo; None before power-on.
+        fault: Fault code: 0, or a code of `FAULTS` until `switch_on`.
+        locked: Whether the mechanical brakes hold the arm.
 
     Raises:
-        SpecError: There is no such arm, or an option cannot be.
+        SpecError: There is no such arm, or an option is invalid.
     """
 
     def __init__(self, model: str, options: Options) -> None:
@@ -76,7 +76,7 @@ class Arm:
 
     @property
     def limits(self) -> Limits:
-        """The published limits."""
+        """Published limits of the arm."""
         arm = self.description
         return Limits(
             arm.q_min, arm.q_max, arm.qd_max, arm.qdd_max, arm.effort_max, arm.payload_max_kg
@@ -84,18 +84,18 @@ class Arm:
 
     @property
     def powered(self) -> ServoArm:
-        """The arm under its servo, once it is switched on."""
+        """Arm under its servo; available after power-on only."""
         assert self.servo is not None
         return self.servo
 
     @property
     def on(self) -> Simulation:
-        """The simulation of an arm that is switched on."""
+        """Simulation of the arm; available after power-on only."""
         return self.powered.simulation
 
     @property
     def device_time(self) -> float:
-        """The controller's clock [s]."""
+        """Time of the controller's clock [s]."""
         return self.on.samples / self.rate_hz if self.servo else 0.0
 
     @property
@@ -105,21 +105,21 @@ class Arm:
 
     @property
     def dead(self) -> bool:
-        """Whether the simulation itself has broken down: no more samples until `switch_on`."""
+        """Whether the simulation has diverged, so that there are no samples until `switch_on`."""
         return self.fault == RUNAWAY
 
     @property
     def moving(self) -> bool:
-        """Whether its controller commands a motion."""
+        """Whether the controller commands a motion."""
         return self.motion.moving or self.torque_controlled
 
     @property
     def torque_controlled(self) -> bool:
-        """Whether a torque is commanded in place of positions."""
+        """Whether torques are commanded instead of positions."""
         return bool(np.isfinite(self.on.disturbances.torque).any())
 
     def build(self) -> ServoArm:
-        """Return an arm to switch on: the present one, or a new one, which takes seconds."""
+        """Return the current arm for `switch_on`, or build a new arm, which takes seconds."""
         if self.servo is not None and not self.dead:
             return self.servo
         from hil_mock_robot.plant.servo_arm import ServoArm
@@ -137,7 +137,7 @@ class Arm:
         )
 
     def switch_on(self, servo: ServoArm) -> None:
-        """Work with the arm that `build` has returned, and clear a fault."""
+        """Use the arm that `build` returned, and clear a fault."""
         if self.fault:
             servo.brake()
             servo.release()
@@ -145,11 +145,11 @@ class Arm:
         self.servo, self.fault, self.locked = servo, 0, False
 
     def mount(self, gravity_m_s2: tuple[float, float, float]) -> None:
-        """Mount the arm as the station has it.
+        """Set the gravity of the station in the base frame.
 
         Raises:
-            SpecError: The option `mount` says otherwise.
-            CommandRefused: The robot is switched on already.
+            SpecError: The option `mount` contradicts the station.
+            CommandRefused: The robot is already switched on.
         """
         if self.servo is not None:
             raise CommandRefused("the mount cannot change once the mock robot is switched on")
@@ -157,10 +157,10 @@ class Arm:
         self.gravity = gravity_m_s2
 
     def set_payload(self, payload: Payload) -> None:
-        """Declare a load and, unless `mounted_payload` is given, mount it.
+        """Declare a payload, and mount it unless the option `mounted_payload` is set.
 
         Raises:
-            CommandRefused: It is too heavy, or the arm is moving.
+            CommandRefused: The payload is too heavy, or the arm is moving.
         """
         arm = self.description
         if not 0 <= payload.mass <= arm.payload_max_kg:
@@ -170,18 +170,20 @@ class Arm:
                 hint="declare a lighter load",
             )
         if self.motion.moving:
-            raise CommandRefused("the payload cannot change in motion", hint="stop() first")
+            raise CommandRefused(
+                "the payload cannot change during a motion", hint="call stop() first"
+            )
         self.powered.declare(payload)
 
     def brake(self) -> None:
-        """Decelerate along the present path with half the acceleration limit, then hold."""
+        """Decelerate along the current path with half of the acceleration limit, then hold."""
         if self.torque_controlled:
             self.command_torque(None)
         if not self.fault:
             self.motion.brake()
 
     def trip(self, fault: int) -> None:
-        """Stop by a fault of the controller's own (a code of `FAULTS`)."""
+        """Stop the arm because of a fault of the controller (a code of `FAULTS`)."""
         if self.fault:
             return
         if self.torque_controlled:
@@ -190,7 +192,7 @@ class Arm:
         self.fault = fault
 
     def lock(self, fault: int) -> None:
-        """Close the mechanical brakes: the servo has failed at its task (a code of `FAULTS`)."""
+        """Close the mechanical brakes after a failure of the servo (a code of `FAULTS`)."""
         self.fault, self.locked = fault, True
         if not self.dead:
             self.powered.brake()
@@ -198,7 +200,10 @@ class Arm:
             self.motion.coast(self.on.position, self.on.speed)
 
     def command_torque(self, torque: FloatArray | None) -> None:
-        """Drive the joints by torque (n,) [N·m]; None brakes and holds."""
+        """Command joint torques (n,) [N·m].
+
+        With None, torque control ends, and the arm brakes and holds its position.
+        """
         simulation = self.on
         if torque is not None:
             self.motion.brake()
@@ -213,18 +218,18 @@ START_TOLERANCE_RAD = 1e-4
 REST_TOLERANCE_RAD_S = 1e-3
 
 RELATIVE_TOLERANCE = 1e-6
-"""Planners reach a limit exactly, up to rounding."""
+"""Relative tolerance of limits, because planners reach a limit exactly, up to rounding errors."""
 
 LEAST_BRAKING_S = 0.05
 
 
 class Motion:
-    """The commanded set-points: one segment at a time, then holding where it ended.
+    """Commanded set-points: one segment at a time, followed by a hold at the end of the segment.
 
     Args:
-        limits: Joint limits that segments must keep.
+        limits: Joint limits that segments must not exceed.
         rate_hz: Samples per second.
-        q: (n,) position held at first [rad].
+        q: (n,) initial position [rad].
     """
 
     def __init__(self, limits: Limits, rate_hz: float, q: FloatArray) -> None:
@@ -237,20 +242,21 @@ class Motion:
 
     @property
     def moving(self) -> bool:
-        """Whether set-points are left to play."""
+        """Whether set-points remain to be played."""
         return self._cursor < len(self._path)
 
     def prepare(self, segment: Segment) -> None:
-        """Check the segment and keep it for `start`.
+        """Check the segment and store it for `start`.
 
         Raises:
-            CommandRefused: It leaves the limits, or does not begin at rest where the arm will be.
+            CommandRefused: The segment exceeds the limits, or does not begin at rest at the end of
+                the current path.
         """
         problems = _problems(segment, self._limits, self._rate, self._path[-1, 0])
         if problems:
             raise CommandRefused(
                 f"segment {segment.index} ({segment.kind}): " + "; ".join(problems),
-                hint="plan the segment from the present q_target and inside the robot's limits",
+                hint="plan the segment from the present q_target and within the robot's limits",
             )
         self._prepared = segment
 
@@ -258,7 +264,7 @@ class Motion:
         """Begin the prepared segment.
 
         Raises:
-            CommandRefused: Nothing is prepared, or the last segment is still running.
+            CommandRefused: No segment is prepared, or the last segment is still running.
         """
         if self._prepared is None:
             raise CommandRefused("start without a prepared segment", hint="call prepare() first")
@@ -273,10 +279,10 @@ class Motion:
         self._cursor, self._braking, self.segment = 0, 0.0, segment.index
 
     def take(self, count: int) -> tuple[FloatArray, IntArray]:
-        """Up to `count` set-points (k, 3, n) and their status bits (k,).
+        """Return up to `count` set-points (k, 3, n) and their status bits (k,).
 
-        They never run past the end of a segment; at rest the last set-point repeats. The sample
-        that reaches the last set-point is HOLDING already.
+        The returned set-points end with the segment. At rest, the last set-point is repeated. The
+        sample that reaches the last set-point already has the status HOLDING.
         """
         if not self.moving:
             held = np.repeat(self._path[-1:], count, axis=0)
@@ -289,24 +295,27 @@ class Motion:
         return rows, status
 
     def brake(self, share: float = BRAKING_SHARE) -> None:
-        """Come to rest on the rest of the path: time slows down, the way stays the planned one.
+        """Decelerate to rest on the remaining path, by slowing down time.
 
-        An arm that brakes as hard already goes on doing so: stopping again prolongs nothing.
+        If a stop with at least this deceleration is already active, it continues unchanged.
 
         Args:
-            share: Of the acceleration limit.
+            share: Deceleration as a share of the acceleration limit.
         """
         self._prepared = None
         if not self.moving or self._braking >= share:
             return
-        # Before its first sample a segment still is where the last one ended.
+        # Before its first sample, a segment is at the end of the last one.
         passed = max(self._cursor - 1, 0)
         limit = share * self._limits.qdd_max
         self._replace(_slowed(self._path[passed:], self._rate, limit))
         self._braking = share
 
     def coast(self, q: FloatArray, qd: FloatArray) -> None:
-        """Come to rest from a state (n,), (n,) that no path led to (torque control, a fault)."""
+        """Decelerate to rest from a position (n,) and a speed (n,) that are not on a path.
+
+        The method is needed after torque control and after a fault.
+        """
         self._prepared = None
         duration = _braking_time(qd, BRAKING_SHARE * self._limits.qdd_max)
         t = np.arange(1, np.ceil(duration * self._rate) + 1)[:, None] / self._rate
@@ -326,7 +335,7 @@ def _at_rest(q: FloatArray) -> FloatArray:
 
 
 def _problems(segment: Segment, limits: Limits, rate: float, start: FloatArray) -> list[str]:
-    """Everything that speaks against a segment."""
+    """Return all problems of a segment."""
     shape = segment.q.shape
     if (
         shape[1:] != start.shape
@@ -340,13 +349,15 @@ def _problems(segment: Segment, limits: Limits, rate: float, start: FloatArray) 
     gap = np.abs(segment.q[0] - start)
     if gap.max() > START_TOLERANCE_RAD:
         j = int(gap.argmax())
-        found.append(f"joint {j + 1} starts {np.degrees(gap[j]):.3f}° away from where the arm is")
-    # The first set-point is one period after rest, so it may already carry one period's speed.
+        found.append(
+            f"joint {j + 1} starts {np.degrees(gap[j]):.3f}° away from its present position"
+        )
+    # The first set-point is one period after rest, so it may have the speed of one period.
     first = np.abs(segment.qd[0]) - limits.qdd_max / rate
     if max(first.max(), np.abs(segment.qd[-1]).max()) > REST_TOLERANCE_RAD_S:
-        found.append("it must start and end at rest")
+        found.append("it must start and end at standstill")
     if segment.kind == "hold" and shape[0] != 1:
-        found.append("a hold has one set-point")
+        found.append("a hold must have one set-point")
     return found
 
 
@@ -358,7 +369,10 @@ def _range_problems(segment: Segment, limits: Limits, rate: float) -> list[str]:
         ("leaves its position range", (segment.q < limits.q_min - span).any(axis=0)),
         ("leaves its position range", (segment.q > limits.q_max + span).any(axis=0)),
         ("exceeds its speed limit", (np.abs(segment.qd) > limits.qd_max * wide).any(axis=0)),
-        ("jumps faster than its speed limit", (steps > limits.qd_max * wide).any(axis=0)),
+        (
+            "has position steps above its speed limit",
+            (steps > limits.qd_max * wide).any(axis=0),
+        ),
         (
             "exceeds its acceleration limit",
             (np.abs(segment.qdd) > limits.qdd_max * wide).any(axis=0),
@@ -368,9 +382,10 @@ def _range_problems(segment: Segment, limits: Limits, rate: float) -> list[str]:
 
 
 def _slowed(path: FloatArray, rate: float, deceleration: FloatArray) -> FloatArray:
-    """The path (M, 3, n) from its row 0 on, played ever slower until it stands still.
+    """Return the path (M, 3, n) from its first row, slowed down until rest.
 
-    The pace falls linearly from 1 to 0, so a joint at speed v decelerates by v / duration.
+    The rate at which the path is played decreases linearly from 1 to 0, so a joint with speed v has
+    the deceleration v / duration.
     """
     duration = _braking_time(path[0, 1], deceleration)
     t = np.minimum(np.arange(1, np.ceil(duration * rate) + 1) / rate, duration)
@@ -388,7 +403,7 @@ def _braking_time(qd: FloatArray, deceleration: FloatArray) -> float:
 def _between_samples(
     path: FloatArray, at: FloatArray, rate: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Cubic interpolation of a path at fractional rows `at`; accelerations are linear."""
+    """Return a cubic interpolation of a path at fractional rows; accelerations are linear."""
     row = np.minimum(at.astype(np.int64), max(len(path) - 2, 0))
     after = np.minimum(row + 1, len(path) - 1)
     s = (at - row)[:, None]
@@ -404,16 +419,16 @@ EPOCH_S = 1_767_225_600.0
 """Host time at which every mock robot is switched on: 2026-01-01 00:00 UTC."""
 
 MODE_TORQUE = 1
-"""`mode` of a row; 0 for position control."""
+"""Value of `mode` in a row for torque control; 0 for position control."""
 
 FAULTY = int(Status.FAULT | Status.MASKED)
 
 
 class Sampling:
-    """Advances an arm and measures it.
+    """Sampler that advances the simulation of an arm and measures its state.
 
     Args:
-        arm: Switched on before the first sample.
+        arm: Arm, which must be switched on before the first sample.
 
     Attributes:
         qd: (N, n) true joint speeds of the newest samples [rad/s].
@@ -425,10 +440,10 @@ class Sampling:
         self.qd: FloatArray = np.zeros((0, arm.description.n_joints))
 
     def advance(self, count: int) -> StructArray:
-        """Rows of up to `count` samples, not past the end of the running segment.
+        """Return up to `count` state rows, at most to the end of the running segment.
 
-        A fault that the samples lead to ends them, and their last row says so. A broken-down
-        simulation gives none.
+        A fault ends the samples, and the last row contains the code of the fault. A diverged
+        simulation returns no rows.
         """
         arm, before = self._arm, self._arm.fault
         if arm.dead:
@@ -470,7 +485,7 @@ class Sampling:
         return rows, samples
 
     def _measured(self, samples: Samples, first: int) -> StructArray:
-        """Rows with everything that is measured."""
+        """Return rows with all measured fields."""
         arm = self._arm
         rows = np.zeros(len(samples), dtype=self._dtype)
         rows["device_time"] = (first + 1 + np.arange(len(rows))) / arm.rate_hz

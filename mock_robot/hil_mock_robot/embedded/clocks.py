@@ -1,6 +1,6 @@
-"""Clocks: what advances the simulation.
+"""Clocks that advance the simulation.
 
-`VirtualClock` advances when the robot is read, `WallClock` by a thread of its own, read or not.
+`VirtualClock` advances when the robot is read, whereas `WallClock` advances by a separate thread.
 """
 
 from __future__ import annotations
@@ -21,59 +21,59 @@ from hil_mock_robot.plant.records import WATCHDOG
 
 
 class Clock(Protocol):
-    """How time passes for one robot; `catch_up`, `contact` and `forget` need the lock."""
+    """Clock of one robot; the caller of `catch_up`, `contact` and `forget` must own the lock."""
 
     def begin(self) -> None:
-        """The robot was connected."""
+        """Start the clock after the robot was connected."""
 
     def end(self) -> None:
-        """The robot is closed; returns when its arm rests, as far as time passes for it."""
+        """Stop the clock of a closed robot; return when its arm is at rest, if possible."""
 
     def catch_up(self) -> None:
-        """Let all samples pass that were due before now."""
+        """Compute all samples that have become due."""
 
     def contact(self) -> None:
-        """The host has shown itself."""
+        """Record that the host is active, for the watchdog."""
 
     def read(self, timeout_s: float) -> StructArray:
-        """See `hil.robot.Robot.read`."""
+        """Return new rows; see `hil.robot.Robot.read`."""
 
     def forget(self) -> None:
-        """Drop rows that were not read."""
+        """Discard rows that were not read."""
 
 
 class VirtualClock:
-    """Advances only when it is read.
+    """Clock that advances only when the robot is read.
 
     Args:
-        controller: Advanced by this clock.
-        changed: Its lock; notified when the robot is closed.
-        block: Samples at once.
+        controller: Controller that is advanced by this clock.
+        changed: Lock of the controller; notified when the robot is closed.
+        block: Maximum number of samples per block.
     """
 
     def __init__(self, controller: Controller, changed: threading.Condition, block: int) -> None:
         self._controller, self._changed, self._block = controller, changed, block
 
     def begin(self) -> None:
-        """See `Clock.begin`."""
+        """Do nothing; see `Clock.begin`."""
 
     def end(self) -> None:
-        """See `Clock.end`: here time stands still."""
+        """Do nothing, because time does not pass here; see `Clock.end`."""
 
     def catch_up(self) -> None:
-        """See `Clock.catch_up`: here nothing is ever due."""
+        """Do nothing, because no samples are ever due; see `Clock.catch_up`."""
 
     def contact(self) -> None:
-        """See `Clock.contact`."""
+        """Do nothing; see `Clock.contact`."""
 
     def forget(self) -> None:
-        """See `Clock.forget`: here nothing waits."""
+        """Do nothing, because no rows are stored; see `Clock.forget`."""
 
     def read(self, timeout_s: float) -> StructArray:
-        """One block, or as many as it takes until a row gets through."""
+        """Return the rows of one block, or of the first block with rows."""
         end = math.inf
         while True:
-            # Taken anew for every block: stop() must not wait for a row that may never come.
+            # Locked per block, so that stop() need not wait for a row that may never arrive.
             with self._changed:
                 controller = self._controller
                 self._require_row_ahead(controller)
@@ -98,7 +98,7 @@ class VirtualClock:
 
 
 def timed_out(name: str, timeout_s: float) -> RobotTimeout:
-    """The error of a read in vain."""
+    """Return the error for a read that yields no rows."""
     return RobotTimeout(
         f"mock robot {name}: no state row within {timeout_s:g} s",
         hint="check the connection and whether the controller is still switched on",
@@ -106,24 +106,26 @@ def timed_out(name: str, timeout_s: float) -> RobotTimeout:
 
 
 SLIP_S = 0.25
-"""Further behind than this (the machine slept), time goes on from now and nothing is made up."""
+"""Delay [s] above which missed samples are skipped, for example after the computer was
+suspended."""
 
 REST_WITHIN_S = 5.0
-"""Simulated time that `end` waits for the arm at most."""
+"""Longest simulated time for which `end` waits for the arm [s]."""
 
 JOIN_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How a robot lives in wall time.
+    """Timing of the wall clock of a robot.
 
     Attributes:
-        block: Samples computed at once.
-        spacing_s: Wall time between samples.
+        block: Maximum number of samples per block.
+        spacing_s: Wall time between samples [s].
         speed: Simulated seconds per second of wall time.
-        rows: How many rows wait to be read; older ones are lost.
-        watchdog_s: See `Options`.
+        rows: Largest number of rows that wait to be read; older rows are lost.
+        watchdog_s: Wall time without a reader after which a moving arm is stopped [s]; see
+            `Options`.
     """
 
     block: int
@@ -134,10 +136,10 @@ class Pace:
 
 
 def pace_of(options: Options, rate_hz: float) -> Pace:
-    """The pace that the options ask for.
+    """Return the timing of the wall clock for the options.
 
     Raises:
-        SpecError: Samples are so far apart that `stop` would act too late.
+        SpecError: The time between samples is so long that `stop` would act too late.
     """
     block = wall_block_of(options, rate_hz)
     spacing_s = 1.0 / (rate_hz * options.speed)
@@ -146,15 +148,15 @@ def pace_of(options: Options, rate_hz: float) -> Pace:
 
 
 class WallClock:
-    """Advances by itself, by absolute deadlines of the monotonic clock.
+    """Clock that advances automatically, by absolute deadlines of the monotonic clock.
 
-    What is due is computed by whoever holds the lock first: the thread, a reader, or a command,
-    which thus acts on the arm as it is now, however late the thread may be.
+    Due samples are computed by the first owner of the lock: the thread, a reader, or a command. A
+    command therefore acts on the current state of the arm, even if the thread is late.
 
     Args:
-        controller: Advanced by this clock.
-        changed: Its lock; notified when there are rows or the robot is closed.
-        pace: How fast, and what else.
+        controller: Controller that is advanced by this clock.
+        changed: Lock of the controller; notified about new rows and when the robot is closed.
+        pace: Timing of the clock.
     """
 
     def __init__(self, controller: Controller, changed: threading.Condition, pace: Pace) -> None:
@@ -171,11 +173,11 @@ class WallClock:
 
     @property
     def running(self) -> bool:
-        """Whether time passes."""
+        """Whether the thread of the clock is running."""
         return self._thread is not None and self._thread.is_alive()
 
     def begin(self) -> None:
-        """Start the thread, if it is not running."""
+        """Start the thread if it is not running."""
         if self.running:
             return
         self._ending.clear()
@@ -187,7 +189,7 @@ class WallClock:
         self._thread.start()
 
     def end(self) -> None:
-        """Wait until the arm rests, then end the thread."""
+        """Wait until the arm is at rest, then end the thread."""
         with self._changed:
             self._changed.wait_for(
                 lambda: self._controller.still or not self.running,
@@ -197,7 +199,7 @@ class WallClock:
         self.forget()
 
     def abandon(self) -> None:
-        """End the thread at once, as the death of the process would."""
+        """End the thread immediately, like after the death of the process."""
         self._ending.set()
         thread = self._thread
         if thread is not None and thread is not threading.current_thread():
@@ -205,16 +207,16 @@ class WallClock:
         self._thread = None
 
     def contact(self) -> None:
-        """See `Clock.contact`."""
+        """Record that the host is active, for the watchdog; see `Clock.contact`."""
         self._contact = time.monotonic()
 
     def forget(self) -> None:
-        """See `Clock.forget`."""
+        """Discard rows that were not read; see `Clock.forget`."""
         self._queue.clear()
         self._queued = self._lost = 0
 
     def read(self, timeout_s: float) -> StructArray:
-        """Return rows since the last call; wait if there are none."""
+        """Return the rows since the last call; wait if there are none."""
         end = time.monotonic() + timeout_s
         with self._changed:
             self._readers += 1
@@ -231,7 +233,7 @@ class WallClock:
                 self._readers -= 1
 
     def _taken(self) -> StructArray | None:
-        """All rows that wait, or None; raises when there is no use in waiting."""
+        """Return all waiting rows, or None; raise if no row can arrive any more."""
         controller = self._controller
         controller.require_connection()
         if self._broken is not None:
@@ -253,11 +255,11 @@ class WallClock:
         return rows
 
     def catch_up(self) -> None:
-        """See `Clock.catch_up`."""
+        """Compute all samples that have become due; see `Clock.catch_up`."""
         self._advance(1)
 
     def _pass(self) -> None:
-        """The thread: wakes whenever a block is due."""
+        """Run the thread, which wakes when a block is due."""
         block, spacing_s = self._pace.block, self._pace.spacing_s
         while self._broken is None:
             due = self._began + (self._passed + block) * spacing_s
@@ -267,8 +269,8 @@ class WallClock:
                 self._advance(block)
 
     def _advance(self, least: int) -> None:
-        """Let due samples pass, if they are at least so many."""
-        # Advancing already: a signal handler has interrupted this thread in the middle of it.
+        """Compute the due samples if their number is at least `least`."""
+        # `_advancing` is set if a signal handler has interrupted this method.
         if self._advancing or self._thread is None or self._broken is not None:
             return
         due = self._due()
@@ -278,7 +280,7 @@ class WallClock:
         try:
             self._guard(self._controller)
             self._produce(due)
-        except Exception as error:  # a mistake here must reach the reader
+        except Exception as error:  # the reader must get this error
             self._broken = error
         finally:
             self._advancing = False
@@ -304,7 +306,7 @@ class WallClock:
                 self._keep(rows)
 
     def _guard(self, controller: Controller) -> None:
-        """The controller's watchdog."""
+        """Run the watchdog of the controller."""
         if self._readers and not controller.line.silent:
             self.contact()
         allowed = self._pace.watchdog_s

@@ -1,4 +1,4 @@
-"""The controller as its host meets it: faults strike, rows are sent, a journal is kept."""
+"""Controller of the embedded robot: faults, rows for the host, and the journal."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ BRAKING_BLOCK = 16
 
 
 class Controller:
-    """One robot's controller, for one thread.
+    """Controller of one robot, for use by one thread at a time.
 
     Args:
-        name: The robot's name.
-        arm: Of this controller.
+        name: Name of the robot.
+        arm: Arm of this controller.
         faults: Planned faults.
-        journal: Of the robot.
-        spacing_s: Wall time between samples, 0 on a virtual clock.
+        journal: Journal of the robot.
+        spacing_s: Wall time between samples [s], 0 on a virtual clock.
 
     Attributes:
-        connected: Whether a host may work with it.
-        fault_told: Whether the host has got a row with the present fault.
+        connected: Whether a host is connected to the controller.
+        fault_told: Whether the host has received a row with the current fault.
     """
 
     def __init__(
@@ -60,29 +60,29 @@ class Controller:
         self._sampling = Sampling(arm)
         self._refusals = [fault for fault in faults if isinstance(fault, Refuse)]
         planned = [fault for fault in faults if not isinstance(fault, Refuse)]
-        self._faults: Faults[Target] | None = None  # most have none
+        self._faults: Faults[Target] | None = None  # None for most robots
         if planned:
             self._faults = self._faults_of(planned)
         self._spacing_s = spacing_s
 
     @property
     def samples(self) -> int:
-        """Samples since it was switched on."""
+        """Number of samples since power-on."""
         return self.arm.on.samples
 
     @property
     def still(self) -> bool:
-        """Whether the arm is known to be at rest, or will never move again."""
+        """Whether the arm is known to be at rest, or cannot move any more."""
         arm = self.arm
         if arm.dead or arm.locked or self.rest.resting:
             return True
         return not (self.rest.waiting or arm.moving) and arm.fastest < REST_RAD_S
 
     def require_connection(self) -> None:
-        """Raise when a host cannot work with it.
+        """Raise if no host can use the controller.
 
         Raises:
-            RobotConnectionError: It is not connected, or the line is cut.
+            RobotConnectionError: The robot is not connected, or the line is cut.
         """
         if not self.connected:
             raise RobotConnectionError(
@@ -90,11 +90,12 @@ class Controller:
             )
         if self.line.cut:
             raise RobotConnectionError(
-                f"mock robot {self.name}: the line is cut", hint="close() and connect() again"
+                f"mock robot {self.name}: the line is cut",
+                hint="call close() and connect() again",
             )
 
     def connect(self) -> None:
-        """Accept a host: the line is new, and a fault that was is cleared by the arm."""
+        """Connect a host with a new line and without line faults."""
         self.connected, self.fault_told = True, False
         self.line.mend()
         if self._faults:
@@ -106,7 +107,7 @@ class Controller:
         self.connected = False
 
     def strike(self, fault: EmbeddedFault) -> None:
-        """Add a fault that was not planned; a due one begins with the next row."""
+        """Add an unplanned fault; a due fault begins with the next row."""
         if isinstance(fault, Refuse):
             self._refusals.append(fault)
         elif self._faults is None:
@@ -115,23 +116,23 @@ class Controller:
             self._faults.plan(fault)
 
     def clear(self) -> None:
-        """End faults of the line, and forget later ones."""
+        """End faults of the line, and discard the faults that are planned."""
         self._refusals = []
         if self._faults:
             self._faults.clear()
 
     def prepare(self, segment: Segment) -> None:
-        """Check and keep the next segment.
+        """Check and store the next segment.
 
         Raises:
-            CommandRefused: There is a fault, the segment cannot be, or a refusal was injected.
+            CommandRefused: There is a fault, the segment is invalid, or a refusal was injected.
         """
         self._require_no_fault()
         if self._refuses(segment.index):
             self.note("fault", kind="refuse", segment=segment.index)
             raise CommandRefused(
-                f"segment {segment.index} ({segment.kind}): refused, injected",
-                hint="take the refusal out of the mock's option faults",
+                f"segment {segment.index} ({segment.kind}): refused by an injected fault",
+                hint="remove the refusal from the mock's option faults",
             )
         self.arm.motion.prepare(segment)
 
@@ -139,7 +140,7 @@ class Controller:
         """Begin the prepared segment with the next sample.
 
         Raises:
-            CommandRefused: There is a fault, nothing is prepared, or a segment is running.
+            CommandRefused: There is a fault, no segment is prepared, or a segment is running.
         """
         self._require_no_fault()
         self.arm.motion.start()
@@ -148,24 +149,24 @@ class Controller:
             self._faults.began("segment", self.arm.motion.segment, at=self.samples)
 
     def set_payload(self, payload: Payload) -> None:
-        """See `Arm.set_payload`."""
+        """Declare a payload; see `Arm.set_payload`."""
         self._require_no_fault()
         self.arm.set_payload(payload)
 
     def command_torque(self, torque: FloatArray | None) -> None:
-        """See `Arm.command_torque`."""
+        """Command joint torques; see `Arm.command_torque`."""
         self.arm.command_torque(torque)
         if torque is not None:
             self.rest.moved()
 
     def brake(self, cause: str, at: Moment) -> None:
-        """Bring the arm to rest and, if there is a cause, watch until it is there."""
+        """Decelerate the arm to rest; if there is a cause, observe the arm until it is at rest."""
         self.arm.brake()
         if cause:
             self.rest.stopped(cause, at)
 
     def trip(self, fault: int) -> None:
-        """Stop by a fault of the controller's own (a code of `FAULTS`)."""
+        """Stop because of a fault of the controller (a code of `FAULTS`)."""
         if self.arm.fault:
             return
         kind, at = FAULT_KINDS[fault], self.moment()
@@ -174,15 +175,15 @@ class Controller:
         self.arm.trip(fault)
 
     def fault_error(self) -> RobotFault:
-        """Return the error for the present fault."""
+        """Return the error for the current fault."""
         return RobotFault(
             f"{self.name}: {FAULTS[self.arm.fault]}", hint="find the cause, then reconnect"
         )
 
     def produce(self, most: int) -> StructArray:
-        """Let up to `most` samples of device time pass; return the rows that the host gets."""
+        """Advance device time by up to `most` samples; return the rows for the host."""
         if self._faults:
-            # A block ends before the next change: what is wrong holds for whole blocks.
+            # A block ends before the next fault begins or ends, so faults apply to whole blocks.
             self._faults.reach(self.samples + 1)
             most = self._faults.unchanged(most)
         before = self.arm.fault
@@ -197,23 +198,23 @@ class Controller:
         return self.line.carry(rows, self.arm.device_time) if self._faults else rows
 
     def hand_over(self, rows: StructArray) -> StructArray:
-        """Note whether rows show a fault, and pass them on to the host."""
+        """Record whether rows contain a fault, and return the rows for the host."""
         self.fault_told = self.fault_told or bool((rows["status"] & int(Status.FAULT)).any())
         return rows
 
     def come_to_rest(self) -> None:
-        """Let device time pass until the arm is at rest; for clocks that stand still else."""
+        """Advance device time until the arm is at rest; needed on a virtual clock."""
         end = self.arm.device_time + BRAKING_AT_MOST_S
         while not self.still and self.arm.device_time < end:
             self.produce(BRAKING_BLOCK)
 
     def moment(self, monotonic_s: float | None = None) -> Moment:
-        """Now, or a little earlier by the monotonic clock."""
+        """Return the current time and speed, or those of an earlier monotonic time."""
         now = time.monotonic() if monotonic_s is None else monotonic_s
         return Moment(now, self.arm.device_time, self.arm.fastest)
 
     def note(self, event: str, at: Moment | None = None, **details: Any) -> None:
-        """Write a line into the journal."""
+        """Write a line to the journal."""
         self._journal.note(event, at or self.moment(), **details)
 
     def _require_no_fault(self) -> None:
@@ -230,12 +231,12 @@ class Controller:
         return faults
 
     def _struck(self, fault: Fault[Target], begins: bool) -> None:
-        """Journal a fault on request; `trip` does that for stops."""
+        """Write an injected fault to the journal, except stops, which `trip` writes."""
         if not isinstance(fault, ProtectiveStop | EmergencyStop):
             self.note("fault" if begins else "fault_over", kind=fault.kind)
 
     def _refuses(self, segment: int) -> bool:
-        """Whether to refuse this segment; each refusal is used up by one."""
+        """Return whether to refuse the next segment; each injected refusal applies once."""
         now_s = self.samples / self.arm.rate_hz
         for fault in self._refusals:
             due = fault.at_s is not None and now_s >= fault.at_s - ROUNDING / self.arm.rate_hz
@@ -245,7 +246,7 @@ class Controller:
         return False
 
     def _note_failure(self) -> None:
-        """Note a fault of the simulation, by which the brakes were closed."""
+        """Write a fault of the simulation, after which the brakes were closed, to the journal."""
         code, at = self.arm.fault, self.moment()
         self.note("fault", at, kind=FAULT_KINDS[code], code=code)
         if self.arm.locked and not self.arm.dead:

@@ -1,6 +1,6 @@
-"""Faults of the embedded mock, one class each, and the line to its host on which they act.
+"""Faults of the embedded mock, one class each, and the line to the host on which they act.
 
-They are the option `faults` of a station, or asked for by `MockRobot.fault`
+Faults are set by the option `faults` of a station, or by `MockRobot.fault`
 (docs/reference/mock.md).
 """
 
@@ -17,42 +17,42 @@ from hil_mock_robot.server.faults import LONGEST_S, REQUIRED, Fault, count, seco
 
 
 class Target(Protocol):
-    """The controller, on which faults act."""
+    """Controller of the embedded robot on which faults act."""
 
     @property
     def line(self) -> Line:
-        """To its host."""
+        """Connection between controller and host, on which faults act."""
 
     def trip(self, fault: int) -> None:
-        """Stop by a fault of the controller's own (a code of `FAULTS`)."""
+        """Stop the arm because of a fault of the controller (a code of `FAULTS`)."""
 
 
 class EmbeddedFault(Fault[Target], counted=("segment",), example="{kind: freeze, at_s: 2.0}"):
-    """A fault of the controller, or of the line to its host."""
+    """Fault of the controller, or of the line to its host."""
 
     segment: int | None = count(None, least=0)
 
 
 class ProtectiveStop(EmbeddedFault, kind="protective_stop"):
-    """The controller stops the arm."""
+    """Protective stop of the arm by the controller."""
 
     def begin(self, mock: Target) -> None:
         mock.trip(PROTECTIVE_STOP)
 
 
 class EmergencyStop(EmbeddedFault, kind="emergency_stop"):
-    """The red button."""
+    """Emergency stop of the arm by its button."""
 
     def begin(self, mock: Target) -> None:
         mock.trip(EMERGENCY_STOP)
 
 
 class Refuse(EmbeddedFault, kind="refuse"):
-    """That segment, or the first one after that time, is refused; `Controller.prepare` does it."""
+    """Refusal of a segment, or of the first segment after a time; see `Controller.prepare`."""
 
 
 class _OnLine(EmbeddedFault):
-    """A fault of the line, for as long as it lasts."""
+    """Fault of the line to the host that has a duration."""
 
     def begin(self, mock: Target) -> None:
         mock.line.wrong[self.kind] += 1
@@ -62,27 +62,27 @@ class _OnLine(EmbeddedFault):
 
 
 class Cut(_OnLine, kind="cut", lasts=True):
-    """Nothing gets through in either direction, until the robot is connected anew."""
+    """Interruption of the line in both directions, until the robot is connected again."""
 
 
 class Freeze(_OnLine, kind="freeze", lasts=True):
-    """The newest row is repeated."""
+    """Frozen line that repeats the newest row."""
 
 
 class Silence(_OnLine, kind="silence", lasts=True):
-    """No rows get through."""
+    """Silent line without rows."""
 
 
 class Hang(_OnLine, kind="hang", lasts=True):
-    """Reading does not return."""
+    """Hanging line on which reads do not return."""
 
 
 class Nan(_OnLine, kind="nan", lasts=True):
-    """Everything measured is not a number."""
+    """Corrupt measurements that are all NaN."""
 
 
 class Lag(EmbeddedFault, kind="lag", lasts=True):
-    """Rows come late."""
+    """Late arrival of rows."""
 
     by_s: float = seconds(REQUIRED)
 
@@ -94,7 +94,7 @@ class Lag(EmbeddedFault, kind="lag", lasts=True):
 
 
 class ClockJump(EmbeddedFault, kind="clock_jump"):
-    """The device clock jumps, and goes on from there."""
+    """Jump of the device clock, which continues from its new time."""
 
     by_s: float = seconds(REQUIRED, least=-LONGEST_S)
 
@@ -103,7 +103,7 @@ class ClockJump(EmbeddedFault, kind="clock_jump"):
 
 
 class Drop(EmbeddedFault, kind="drop"):
-    """The next samples are lost."""
+    """Loss of the next samples."""
 
     samples: int = count()
 
@@ -112,7 +112,7 @@ class Drop(EmbeddedFault, kind="drop"):
 
 
 class Duplicate(EmbeddedFault, kind="duplicate"):
-    """The next samples come twice."""
+    """Duplication of the next samples."""
 
     samples: int = count()
 
@@ -124,15 +124,15 @@ MEASURED = ("q", "qd", "effort", "temperature")
 
 
 class Line:
-    """Carries rows; a sound one carries them unchanged.
+    """Line to the host, which carries state rows and applies faults to them.
 
-    What faults do is decided block by block: none may begin or end inside a block.
+    Faults apply to whole blocks: no fault may begin or end inside a block.
 
     Attributes:
-        wrong: Kind → how many faults of it last.
-        lags_s: How late each of the present lags makes rows.
-        jump_s: How far the device clock has jumped.
-        to_drop, to_repeat: How many of the next samples are lost, or come twice.
+        wrong: Map from kind to the number of active faults of this kind.
+        lags_s: Delay of rows by each active lag [s].
+        jump_s: Sum of the jumps of the device clock [s].
+        to_drop, to_repeat: Number of next samples that will be lost, and that will be duplicated.
     """
 
     def __init__(self) -> None:
@@ -145,30 +145,30 @@ class Line:
 
     @property
     def hanging(self) -> bool:
-        """Whether reading never returns."""
+        """Whether a fault makes reads hang."""
         return bool(self.wrong["hang"])
 
     @property
     def cut(self) -> bool:
-        """Whether nothing gets through in either direction."""
+        """Whether the line carries no data in either direction."""
         return bool(self.wrong["cut"])
 
     @property
     def silent(self) -> bool:
-        """Whether no rows get through."""
+        """Whether the line carries no rows to the host."""
         return bool(self.wrong["silence"]) or self.cut or self.hanging
 
     def mend(self) -> None:
-        """Be as new; a clock that jumped stays where it is."""
+        """Remove all faults, except the jump of the device clock."""
         self.wrong.clear()
         self.lags_s.clear()
         self._late.clear()
         self.to_drop = self.to_repeat = 0
 
     def carry(self, rows: StructArray, now: float) -> StructArray:
-        """Return the rows that the host gets when `rows` are sent at the true device time `now`.
+        """Return the rows that the host receives if `rows` are sent at true device time `now`.
 
-        Rows in `rows` may be changed.
+        The rows may be modified in place.
         """
         if not len(rows):
             return rows

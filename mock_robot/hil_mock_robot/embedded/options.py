@@ -1,8 +1,8 @@
-"""Options of the embedded mock: what a station file may say about it, beside its name and model.
+"""Options of the embedded mock in a station file, in addition to its name and model.
 
-`Options` are the raw values; the functions below turn them into the individual robot (`truth_of`,
-`wear_of`), where it stands (`start_of`), how it is mounted (`mount_of`) and what it carries
-(`mounted_of`), and refuse what cannot be.
+`Options` contains the values as written in the station file. The functions of this module convert
+options to the individual robot (`truth_of`, `wear_of`), its initial position (`start_of`), its
+mounting (`mount_of`) and its payload (`mounted_of`), and reject invalid values.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from hil_mock_robot.plant.truth import Profile, Truth, draw_truth
 from hil_mock_robot.server.options import numbers_of, upright_deg
 
 MOST_BLOCK_S = 1.0
-"""Simulated time of a block at most: `stop` waits for the block that is being computed."""
+"""Longest simulated time of a block [s], because `stop` waits for the current block."""
 
 MOST_SUBSTEP_HZ = 16_000.0
-"""At which a block of one second still takes less than the 0.1 s that `stop` may."""
+"""Maximum integration rate [Hz]; at this rate, computing a block of one second takes less than
+the 0.1 s allowed for `stop`."""
 
 RANGES = {
     "substep_hz": (1000.0, MOST_SUBSTEP_HZ),
@@ -34,43 +35,46 @@ RANGES = {
     "queue_s": (0.05, 60.0),
     "watchdog_s": (0.0, 60.0),
 }
-"""Least and most of the options that are numbers."""
+"""Smallest and largest permitted value of each numeric option."""
 
 WALL_ONLY = ("speed", "queue_s", "watchdog_s")
 VIRTUAL_ONLY = ("block",)
 
 WALL_BLOCK_S = 0.008
-"""Simulated time that the wall clock computes at once at most, if that holds a sample."""
+"""Maximum simulated time per block of the wall clock [s]; a block has at least one sample."""
 
 LEAST_WALL_SAMPLES_HZ = 10.0
-"""Samples per second of wall time: `stop` acts with the next sample, and within 0.1 s."""
+"""Smallest number of samples per second of wall time, because `stop` acts with the next sample
+and must act within 0.1 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Options of a mock robot in a station, beside name and model.
+    """Options of a mock robot in a station, in addition to name and model.
 
     Attributes:
-        seed, profile: Which robot is drawn; see `draw_truth`.
+        seed, profile: Seed and profile of the drawn robot; see `draw_truth`.
         substep_hz: Integration steps per second, a multiple of 1000, at most 16,000.
-        rate_hz: Samples per second; the arm's own when None.
-        block: Samples that one `read` computes at most; no more than a second's.
-        truth_file: A truth written earlier, in place of `seed` and `profile`.
-        start_q_deg: Pose in which the robot is switched on.
-        temperature_c: Joint temperature at that moment; the room's when None.
-        room_c: Mean temperature of the room; that of the robot's truth when None.
-        day: Another day has other noise, and the room's slow drift stands elsewhere.
-        wear: Factor on all friction of each joint, 1 for as good as new.
-        mount: `table`, `wall`, `ceiling`, or gravity in the base frame [m/s²]; what the station
-            says (`gravity_m_s2`) when None, and no other than that.
-        mounted_payload: What really hangs at the flange (`mass_kg`, `com_m`, `inertia_kgm2`);
-            what is declared when None.
-        clock: `virtual` advances when it is read; `wall` advances by itself.
+        rate_hz: Samples per second; None for the rate of the arm.
+        block: Maximum number of samples per `read`; at most one second of samples.
+        truth_file: File with a truth, used instead of `seed` and `profile`.
+        start_q_deg: Initial joint position [°].
+        temperature_c: Initial joint temperature [°C]; None for the room temperature.
+        room_c: Mean room temperature [°C]; None for the value in the robot's truth.
+        day: Number of the simulated day. Each simulated day has different noise and a different
+            phase of the room's temperature drift.
+        wear: Factor on all friction of each joint, 1 for a new joint.
+        mount: `table`, `wall`, `ceiling`, or gravity in the base frame [m/s²]. None selects the
+            station's `gravity_m_s2`; any other mount must agree with the gravity of the station.
+        mounted_payload: Payload that is mounted at the flange (`mass_kg`, `com_m`, `inertia_kgm2`);
+            None for the declared payload.
+        clock: `virtual` advances when the robot is read; `wall` advances automatically.
         speed: Simulated seconds per second of wall time.
-        queue_s: Wall time of state rows that wait to be read; older ones are lost.
-        watchdog_s: Wall time without a reader after which a moving arm is stopped; 0 for never.
+        queue_s: Wall time of state rows that wait to be read [s]; older rows are lost.
+        watchdog_s: Wall time without a reader after which a moving arm is stopped [s]; 0 for no
+            watchdog.
         journal: File to which the robot appends commands and events.
-        faults: What goes wrong, and when; see `hil_mock_robot.embedded.faults`.
+        faults: Faults with their times; see `hil_mock_robot.embedded.faults`.
     """
 
     seed: int = 0
@@ -95,10 +99,10 @@ class Options:
 
 
 def options_of(given: Mapping[str, Any]) -> Options:
-    """The options of a station's mapping.
+    """Return the options from a mapping in a station file.
 
     Raises:
-        SpecError: One is unknown or cannot be.
+        SpecError: An option is unknown or invalid.
     """
     known = Options.__dataclass_fields__
     unknown = sorted(set(given) - set(known))
@@ -120,7 +124,7 @@ def _require_numbers(options: Options) -> None:
     for name, first in (("seed", 0), ("block", 1), ("day", 0)):
         value = getattr(options, name)
         if not isinstance(value, int) or isinstance(value, bool) or value < first:
-            raise wrong_option(name, value, f"use a whole number from {first} up")
+            raise wrong_option(name, value, f"use a whole number of at least {first}")
     for name, (least, most) in RANGES.items():
         value = getattr(options, name)
         if value is not None and not (numbers_of([value], 1) and least <= value <= most):
@@ -135,16 +139,16 @@ def _require_right_clock(options: Options, given: Mapping[str, Any]) -> None:
         if name in given:
             other = "virtual" if wall else "wall"
             raise SpecError(
-                f"mock option {name} means nothing with clock: {options.clock}",
-                hint=f"leave it out, or use clock: {other}",
+                f"mock option {name} is not used with clock: {options.clock}",
+                hint=f"remove it, or use clock: {other}",
             )
 
 
 def require_short_block(options: Options, rate_hz: float) -> None:
-    """Refuse blocks so long that `stop` would have to wait for one.
+    """Raise if blocks are so long that `stop` would have to wait too long for a block.
 
     Raises:
-        SpecError: `block` is more than a second of samples.
+        SpecError: The option `block` is more than a second of samples.
     """
     most = max(1, int(MOST_BLOCK_S * rate_hz))
     if options.clock == "virtual" and options.block > most:
@@ -153,44 +157,44 @@ def require_short_block(options: Options, rate_hz: float) -> None:
 
 
 def wall_block_of(options: Options, rate_hz: float) -> int:
-    """How many samples the wall clock computes at once.
+    """Return the number of samples per block of the wall clock.
 
     Raises:
-        SpecError: Samples are so far apart that `stop` would act too late.
+        SpecError: The time between samples is so long that `stop` would act too late.
     """
     if rate_hz * options.speed < LEAST_WALL_SAMPLES_HZ:
         raise SpecError(
-            f"mock option clock: wall makes {rate_hz * options.speed:g} samples per second of "
-            f"wall time (rate_hz × speed), at least {LEAST_WALL_SAMPLES_HZ:g} are needed",
+            f"mock option clock: wall yields {rate_hz * options.speed:g} samples per second of "
+            f"wall time (rate_hz × speed), at least {LEAST_WALL_SAMPLES_HZ:g} are required",
             hint="raise speed or rate_hz: stop() acts with the next sample",
         )
     return max(1, int(WALL_BLOCK_S * rate_hz + 1e-9))
 
 
 def start_of(arm: ArmDescription, options: Options) -> FloatArray:
-    """(n,) joint position in which the robot is switched on [rad].
+    """Return the initial joint position of the robot (n,) [rad].
 
     Raises:
-        SpecError: It is not a pose of this arm.
+        SpecError: The option is not a valid pose of this arm.
     """
     degrees = upright_deg(arm) if options.start_q_deg is None else options.start_q_deg
     numbers = numbers_of(degrees, arm.n_joints)
     q = np.radians(np.array(numbers or [np.nan]))
     if not ((q >= arm.q_min) & (q <= arm.q_max)).all():
         raise SpecError(
-            f"start_q_deg {degrees!r} is no pose of the {arm.name}",
-            hint=f"give {arm.n_joints} angles inside its limits",
+            f"start_q_deg {degrees!r} is not a pose of the {arm.name}",
+            hint=f"give {arm.n_joints} angles within its joint limits",
         )
     return np.asarray(q)
 
 
 def wrong_option(name: str, value: object, hint: str) -> SpecError:
-    """Return the error for a wrong option, with a hint."""
+    """Return the error for an invalid option, with a hint."""
     return SpecError(f"mock option {name} is {value!r}", hint=hint)
 
 
 def gravity_of(mount: str | Sequence[float]) -> tuple[float, float, float]:
-    """Return gravity in the base frame [m/s²] for a name of `MOUNTS`, or as given.
+    """Return gravity in the base frame [m/s²] for a name in `MOUNTS` or for three numbers.
 
     Raises:
         SpecError: There is no such mount.
@@ -208,7 +212,7 @@ def gravity_of(mount: str | Sequence[float]) -> tuple[float, float, float]:
 
 
 def mount_of(options: Options) -> tuple[float, float, float]:
-    """Return gravity in the base frame [m/s²] where no station sets it.
+    """Return gravity in the base frame [m/s²] for a robot without a station.
 
     Raises:
         SpecError: There is no such mount.
@@ -217,10 +221,11 @@ def mount_of(options: Options) -> tuple[float, float, float]:
 
 
 def require_same_mount(options: Options, station: Sequence[float]) -> None:
-    """Refuse an option `mount` that contradicts the station's gravity (3,) [m/s²].
+    """Raise if the option `mount` contradicts the station's gravity (3,) [m/s²].
 
     Raises:
-        SpecError: They differ: the identification would believe the station, the arm the option.
+        SpecError: Mount and station have different gravity, so that the identification would assume
+            a different gravity than the simulation.
     """
     if options.mount is None:
         return
@@ -229,15 +234,15 @@ def require_same_mount(options: Options, station: Sequence[float]) -> None:
         raise SpecError(
             f"the mock robot's option mount: {options.mount} means gravity {list(own)} m/s², but "
             f"the station's gravity_m_s2 for this robot is {list(station)}",
-            hint=f"leave the option out and set gravity_m_s2: {list(own)} beside driver and model",
+            hint=f"remove the option and set gravity_m_s2: {list(own)} beside driver and model",
         )
 
 
 def mounted_of(options: Options) -> Payload | None:
-    """Return the load that really hangs at the flange; None for the declared one.
+    """Return the payload that is mounted at the flange; None for the declared payload.
 
     Raises:
-        SpecError: The mapping is not a payload.
+        SpecError: The mapping is not a valid payload.
     """
     given = options.mounted_payload
     if given is None or isinstance(given, Payload):
@@ -256,18 +261,19 @@ def mounted_of(options: Options) -> Payload | None:
 
 
 WEAR = (0.1, 10.0)
-"""Least and most of what friction becomes by wear."""
+"""Smallest and largest factor of wear on friction."""
 
 GOLDEN_RAD = 2.399963
-"""Golden angle: the phases of days one after the other are never alike."""
+"""Golden angle [rad], used as the phase step per day so that the phases of consecutive days
+differ."""
 
 
 def truth_of(model: str, options: Options) -> Truth:
-    """The robot that the options name, in its room on that day.
+    """Return the robot that the options select, with the room temperature of the day.
 
     Raises:
-        SpecError: There is no such arm or profile, or the file is another arm's.
-        DataError: The file cannot be used.
+        SpecError: There is no such arm or profile, or the file belongs to a different arm.
+        DataError: The file cannot be read.
     """
     truth = _robot_of(model, options)
     room = truth.ambient_c if options.room_c is None else options.room_c
@@ -276,34 +282,34 @@ def truth_of(model: str, options: Options) -> Truth:
 
 
 def _robot_of(model: str, options: Options) -> Truth:
-    """The robot itself.
+    """Return the robot that the options select, without the options of the room temperature.
 
     Raises:
-        SpecError: There is no such arm or profile, or the file is another arm's.
-        DataError: The file cannot be used.
+        SpecError: There is no such arm or profile, or the file belongs to a different arm.
+        DataError: The file cannot be read.
     """
     if options.truth_file is None:
         return draw_truth(model, options.seed, options.profile)
     truth = Truth.from_json(options.truth_file)
     if truth.arm != model:
         raise SpecError(
-            f"{options.truth_file} is the truth of a {truth.arm}, the station says {model}",
+            f"{options.truth_file} is the truth of a {truth.arm}, but the station names {model}",
             hint=f"set model: {truth.arm}",
         )
     return truth
 
 
 def wear_of(options: Options, n: int) -> FloatArray:
-    """(n,) factor on each joint's friction.
+    """Return the factor on the friction of each joint, (n,).
 
     Raises:
-        SpecError: It is not n factors that can be.
+        SpecError: The option does not consist of n valid factors.
     """
     if options.wear is None:
         return np.ones(n)
     factors = numbers_of(options.wear, n)
     least, most = WEAR
     if factors is None or not all(least <= factor <= most for factor in factors):
-        hint = f"give {n} factors from {least:g} to {most:g}, 1 for as good as new"
+        hint = f"give {n} factors from {least:g} to {most:g}; 1 is the friction of a new joint"
         raise wrong_option("wear", options.wear, hint)
     return np.array(factors)

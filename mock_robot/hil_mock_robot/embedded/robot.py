@@ -1,6 +1,6 @@
-"""The embedded mock robot: a whole robot in this process, on a virtual clock or in wall time.
+"""Embedded mock robot: a whole robot in this process, on a virtual clock or in wall time.
 
-MuJoCo and numba load on `connect`; until then only names, rates and limits are known.
+MuJoCo and numba are loaded by `connect`; only names, rates and limits are known before.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ from hil_mock_robot.plant.truth import Truth
 from hil_mock_robot.server.journal import Journal, Moment
 
 OPTION = "mock option faults"
-"""What messages about faults call their list."""
+"""Name of the list of faults in error messages."""
 
 
 class MockRobot:
-    """A robot of `hil` that exists only here; implements `hil.robot.Robot`.
+    """Simulated robot inside this process; implements `hil.robot.Robot`.
 
-    On its virtual clock, time advances only when it is read: the same seed, options and calls
-    give the same bytes. In wall time it advances by itself, read or not. Beside the protocol it
-    can be pushed, worn and driven by torque, for tests of what hil does about that.
+    On its virtual clock, time advances only when the robot is read, so that the same seed, options
+    and calls give the same bytes. In wall time, the robot advances automatically. In addition to
+    the protocol, a test of hil can apply external torques, wear and torque commands.
 
     Args:
-        name: The robot's name in the station file.
-        model: A built-in arm.
-        options: See `hil_mock_robot.embedded.options.Options`.
+        name: Name of the robot in the station file.
+        model: Name of a built-in arm.
+        options: Options, see `hil_mock_robot.embedded.options.Options`.
 
     Raises:
         PluginError: MuJoCo or numba is not installed.
-        SpecError: There is no such arm, or an option cannot be.
+        SpecError: There is no such arm, or an option is invalid.
     """
 
     simulated = True
-    """`hil` drives nothing else by torque."""
+    """Mark of a simulated robot; `hil` does not command torques to robots without this mark."""
 
     address = Address("this process", real=False)
 
@@ -60,19 +60,19 @@ class MockRobot:
         self._arm = Arm(model, self._options)
         require_short_block(self._options, self._arm.rate_hz)
         self._journal = Journal(self._options.journal, name)
-        # stop() may come from another thread than read(), or from a signal handler inside it:
-        # a block takes well under 10 ms, and a reader waits for rows without the lock.
+        # stop() may be called from a different thread than read(), or from a signal handler during
+        # read(). A block takes well under 10 ms, and a reader waits without the lock.
         self._lock = threading.Condition(threading.RLock())
         self._controller, self._clock = self._build()
 
     @property
     def truth(self) -> Truth:
-        """The true parameters of this robot."""
+        """True parameters of this robot."""
         return self._arm.truth
 
     @property
     def identity(self) -> Identity:
-        """Model and a serial number made of name, profile and seed."""
+        """Model of the robot, and a serial number from its name, profile and seed."""
         self._controller.require_connection()
         truth = self._arm.truth
         return Identity(
@@ -89,7 +89,7 @@ class MockRobot:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Nominal gains, the rate, and the clock of the options."""
+        """Nominal drive gains, sampling rate, and clock of the robot."""
         arm = self._arm.description
         return Capabilities(
             joint_names=arm.joint_names,
@@ -102,17 +102,19 @@ class MockRobot:
 
     @property
     def limits(self) -> Limits:
-        """The published limits of the arm."""
+        """Published limits of the arm."""
         return self._arm.limits
 
     def connect(self) -> None:
-        """Switch the robot on, clear its fault, mend the line; else it does nothing.
+        """Switch the robot on, clear its fault and restore the line.
+
+        Steps of the connection that are not needed are omitted.
 
         Raises:
             RobotConnectionError: The journal cannot be written.
         """
         self._journal.open()
-        # Outside the lock: the first one compiles for seconds and stop() must not wait.
+        # Without the lock: the first build compiles for seconds, and stop() must not wait.
         built = self._arm.build()
         with self._command("connect"):
             if self._arm.fault:
@@ -122,19 +124,19 @@ class MockRobot:
         self._clock.begin()
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
-        """Mount the arm as the station has it.
+        """Set the gravity of the station in the base frame.
 
         Raises:
-            SpecError: The option `mount` says otherwise.
-            CommandRefused: The robot is switched on already.
+            SpecError: The option `mount` contradicts the station.
+            CommandRefused: The robot is already switched on.
         """
         self._arm.mount(gravity_m_s2)
 
     def set_payload(self, payload: Payload) -> Payload:
-        """Declare a load and, unless `mounted_payload` is given, mount it.
+        """Declare a payload, and mount it unless the option `mounted_payload` is set.
 
         Raises:
-            CommandRefused: It is too heavy, or the arm is moving.
+            CommandRefused: The payload is too heavy, or the arm is moving.
         """
         with self._command("set_payload", mass_kg=payload.mass, com_m=list(payload.com)):
             self._controller.require_connection()
@@ -142,10 +144,11 @@ class MockRobot:
             return payload
 
     def prepare(self, segment: Segment) -> None:
-        """Check and keep the next segment.
+        """Check and store the next segment.
 
         Raises:
-            CommandRefused: It starts elsewhere, moves at its ends, or leaves the limits.
+            CommandRefused: The segment starts at a different position, is not at rest at its ends,
+                or exceeds the limits.
         """
         with self._command("prepare", segment=segment.index, kind=segment.kind):
             self._controller.require_connection()
@@ -155,7 +158,7 @@ class MockRobot:
         """Begin the prepared segment with the next sample.
 
         Raises:
-            CommandRefused: Nothing is prepared, or a segment is still running.
+            CommandRefused: No segment is prepared, or a segment is still running.
         """
         with self._command("start") as command:
             self._controller.require_connection()
@@ -163,20 +166,21 @@ class MockRobot:
             command.details["segment"] = self._arm.motion.segment
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
-        """New rows: computed now, up to `block` and not past a segment's end, or those that wait.
+        """Return new rows: computed now on the virtual clock, or waiting in wall time.
 
-        Each set-point of a segment gives one row. A fault ends the block with a row that says
-        so; the next call raises.
+        Each set-point of a segment gives one row. On the virtual clock, a block has at most `block`
+        rows and ends with its segment. A fault ends the block with a row that contains the fault;
+        the next call raises.
 
         Raises:
-            RobotTimeout: No row in time; device time on the virtual clock.
-            RobotFault: Protective stop; `connect` clears it.
-            RobotConnectionError: Not connected, or closed while it waited.
+            RobotTimeout: No row arrived in time, measured in device time on the virtual clock.
+            RobotFault: The robot has made a protective stop; `connect` clears it.
+            RobotConnectionError: The robot is not connected, or was closed during the call.
         """
         return self._clock.read(timeout_s)
 
     def stop(self) -> None:
-        """Decelerate along the present path with half the acceleration limit, then hold.
+        """Decelerate along the current path with half of the acceleration limit, then hold.
 
         Raises:
             RobotConnectionError: The line was cut by an injected fault.
@@ -190,9 +194,9 @@ class MockRobot:
             self._controller.brake("stop", command.at)
 
     def close(self) -> None:
-        """Stop and disconnect; the robot stays where it is and `connect` finds it again.
+        """Stop and disconnect; the robot retains its position until the next `connect`.
 
-        In wall time it returns when the arm is at rest. A waiting `read` raises an error.
+        In wall time, the call returns when the arm is at rest. A waiting `read` raises an error.
         """
         if not self._controller.connected:
             return
@@ -208,26 +212,27 @@ class MockRobot:
             self._lock.notify_all()
 
     def client_gone(self) -> None:
-        """Note that the client has died; for drivers in a process of their own."""
+        """Record the death of the client; for drivers in a separate process."""
         with self._lock:
             self._controller.note("client_gone")
 
     def push(self, torque: Sequence[float] | FloatArray) -> None:
-        """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
+        """Apply an external joint torque (n,) [N·m] from now on; zeros end it."""
         with self._lock:
             self._controller.require_connection()
             self._arm.powered.push(np.asarray(torque, dtype=float))
 
     def fault(self, kind: str, **keys: Any) -> contextlib.ExitStack:
-        """Begin a fault now; in a `with` statement, until its end.
+        """Begin a fault now; in a `with` statement, the fault ends with the block.
 
         Args:
-            kind: As in the option `faults` (docs/reference/mock.md).
-            **keys: Its further keys, such as `for_s`; `at_s` or `segment` for later.
+            kind: Kind of fault, as in the option `faults` (docs/reference/mock.md).
+            **keys: Further keys of the fault, such as `for_s`; `at_s` or `segment` for a later
+                beginning.
 
         Raises:
             SpecError: There is no such kind or key.
-            RobotConnectionError: Not connected.
+            RobotConnectionError: The robot is not connected.
         """
         with self._lock:
             self._controller.require_connection()
@@ -240,21 +245,22 @@ class MockRobot:
         return over
 
     def clear(self) -> None:
-        """End faults and forget later ones; a stop ends with `connect`."""
+        """End active faults and discard planned faults; a stop is cleared by `connect` only."""
         with self._lock:
             self._controller.clear()
             self._lock.notify_all()
 
     def wear(self, factor: Sequence[float] | FloatArray) -> None:
-        """Scale all friction by `factor` (n,) from now on, 1 for as good as new."""
+        """Scale all friction by `factor` (n,) from now on; a factor of 1 is that of a new joint."""
         with self._lock:
             self._controller.require_connection()
             self._arm.on.disturbances.wear[:] = factor
 
     def command_torque(self, torque: Sequence[float] | FloatArray | None) -> None:
-        """Drive the joints by torque (n,) [N·m] instead of position; None brakes and holds.
+        """Command joint torques (n,) [N·m] instead of positions; None brakes and holds the arm.
 
-        The torque goes through the drive's nominal gain and compensates nothing, gravity included.
+        The torque is converted with the drive's nominal gain, without compensation of gravity or
+        friction.
         """
         with self._command("command_torque"):
             self._controller.require_connection()
@@ -269,13 +275,13 @@ class MockRobot:
         pace = pace_of(options, arm.rate_hz)
         controller = Controller(self._name, arm, faults, self._journal, pace.spacing_s)
         clock = WallClock(controller, self._lock, pace)
-        # The thread knows nothing of this object: it ends when this is collected, or at exit.
+        # The thread has no reference to this object, and ends when it is collected or at exit.
         weakref.finalize(self, clock.abandon)
         return controller, clock
 
     @contextlib.contextmanager
     def _command(self, event: str, **details: Any) -> Iterator[_CommandRecord]:
-        """Hold the lock during a command, and write it to the journal."""
+        """Hold the lock during a command, and write the command to the journal."""
         called = time.monotonic()
         with self._lock:
             self._clock.catch_up()
@@ -299,7 +305,7 @@ def _require_extra() -> None:
 
 @dataclass(frozen=True, slots=True)
 class _CommandRecord:
-    """A command to the robot: its time, and details for the journal."""
+    """Command to the robot, with its time and details for the journal."""
 
     at: Moment
     details: dict[str, Any]

@@ -1,5 +1,6 @@
-"""The physics of a mock robot: what is true of one individual, and how it moves.
+"""Physics of a mock robot: the true parameters of one individual, and its motion.
 
-`truth` draws an individual; `simulation` moves it. No module here knows a protocol, and none
-shares code with `hil.dynamics`: what the identification computes is checked against MuJoCo.
+The module `truth` draws the parameters of an individual robot, and `simulation` moves this robot.
+No module of this package depends on a protocol or shares code with `hil.dynamics`, so that the
+identification is checked against MuJoCo.
 """

@@ -1,9 +1,10 @@
-"""The friction law of one joint, compiled.
+"""Friction law of one joint, compiled.
 
-A generalised Maxwell-slip model (Al-Bender, Lampaert & Swevers, 2005): parallel springs, each
-carrying a share of the friction limit. A spring sticks (its force follows the displacement) until
-it reaches its share, then slips. The springs together are the memory: force depends on where the
-joint turned back, a stuck joint keeps what it had when it stopped, and at rest they slowly creep.
+Generalised Maxwell-slip model (Al-Bender, Lampaert & Swevers, 2005): parallel springs, each with a
+share of the friction limit. The force of a spring follows the displacement while the spring sticks;
+the spring slips when its force reaches its share of the friction limit. The springs are the memory
+of the model. The force depends on the position at which the joint reversed, a stuck joint retains
+its force, and at standstill the forces slowly relax.
 """
 
 from __future__ import annotations
@@ -22,25 +23,31 @@ require_libraries()
 from numba import njit  # noqa: E402
 
 COMPILED: dict[str, Any] = {"nogil": True, "fastmath": False}
-"""How every function of the compiled step is built; without fastmath a seed gives the same bytes.
+"""Compiler options of all functions of the compiled step; without fastmath, results are
+reproducible.
 
-Only the entry point is cached: numba looks for changes in its own file alone.
+numba caches only the entry point of the compiled step, because numba detects changes only in
+the file of the entry point.
 """
 
 COLD_C, STRIBECK_GONE_C = 20.0, 50.0
-"""The Stribeck peak is fully there when cold and fades out as the grease warms up."""
+"""Temperatures [°C] below which the Stribeck peak is fully present (`COLD_C`) and above which
+the peak has vanished (`STRIBECK_GONE_C`)."""
 
 VISCOUS_KNEE_RAD_S = 2e-3
-"""Below this speed |v|^a turns linear: its slope at 0 would be infinite."""
+"""Speed [rad/s] below which |v|^a is replaced by a linear function, because the slope of |v|^a
+at 0 would be infinite."""
 
 CREEP_RAD_S = 2e-3
-"""Elements relax below about this speed only."""
+"""Approximate joint speed above which the slip elements do not relax [rad/s]."""
 
 STRIBECK_REACH = 8.0
-"""In Stribeck velocities: beyond it the peak is below 0.04 % and not worth an exponential."""
+"""Speed, in multiples of the Stribeck velocity, above which the Stribeck peak is below 0.04 %
+and is not computed."""
 
 LEAST_WARM = 0.3
-"""The linear temperature law ends here, far outside the temperatures a joint reaches."""
+"""Minimum of the linear temperature factor; this minimum is reached only far outside the
+temperature range of a joint."""
 
 LAW = np.dtype(
     [
@@ -57,7 +64,7 @@ LAW = np.dtype(
 
 
 def friction_laws(truth: Truth, dt: float) -> StructArray:
-    """(n,) records of `LAW` for steps of `dt` [s]."""
+    """Return records of `LAW` (n,) for steps of `dt` [s]."""
     return np.array([_law_of(joint, truth.reference_c, dt) for joint in truth.joints], dtype=LAW)
 
 
@@ -74,9 +81,9 @@ def _law_of(joint: JointTruth, reference_c: float, dt: float) -> tuple[float, ..
 
 
 def slip_elements(truth: Truth) -> FloatArray:
-    """(2, n, E): each element's share of the limit and its stiffness [N·m/rad].
+    """Return share of the limit and stiffness [N·m/rad] of each slip element, (2, n, E).
 
-    Joints with fewer elements are filled up with elements of share 0.
+    Joints with fewer elements are padded with elements of share 0.
     """
     count = max(1, max(len(joint.friction.elements) for joint in truth.joints))
     table = np.zeros((2, len(truth.joints), count))
@@ -101,19 +108,19 @@ def friction_torque(
 ) -> float:
     """Advance the slip elements by one step and return the friction torque [N·m].
 
-    It opposes motion: the joint feels minus this torque.
+    Friction opposes motion: its effect on the joint is minus this torque.
 
     Args:
-        law: One record of `LAW`.
-        shares: (E,) shares of the limit; see `slip_elements`.
+        law: Record of `LAW`.
+        shares: Shares of the friction limit, (E,); see `slip_elements`.
         stiffness: (E,) stiffness of the elements [N·m/rad].
         forces: (E,) forces of the elements [N·m], updated in place.
         q: Joint position [rad].
         v: Joint speed [rad/s].
         load: Torque transmitted by the gear [N·m].
-        celsius: Temperature of the joint.
-        scale: Wear, 1 when new.
-        dt: Step [s].
+        celsius: Temperature of the joint [°C].
+        scale: Wear factor of the joint; 1 for a new joint.
+        dt: Integration step [s].
     """
     limit = scale * _slip_limit(law, v, load, celsius)
     if law.smooth > 0.0:
@@ -127,7 +134,7 @@ def friction_torque(
 
 @njit(**COMPILED)
 def _slip_limit(law: Any, v: float, load: float, celsius: float) -> float:
-    """The friction all elements reach together when slipping at speed `v`, before asymmetry."""
+    """Return the total friction of all slipping elements at speed `v`, without asymmetry."""
     warm = max(LEAST_WARM, 1.0 + law.coulomb_per_k * (celsius - law.reference_c))
     limit = law.coulomb * warm + law.load_share * abs(load)
     if law.stribeck > 0.0:
@@ -148,7 +155,7 @@ def _advance_elements(
     limit: float,
     dt: float,
 ) -> float:
-    """Stick or slip every element, creep at rest; returns their total force."""
+    """Advance every slip element (stick, slip, and creep at standstill); return the total force."""
     total = 0.0
     creep = dt / law.creep_s / (1.0 + (v / CREEP_RAD_S) ** 2)
     for k in range(forces.size):
@@ -157,7 +164,7 @@ def _advance_elements(
         bound = shares[k] * limit * (1.0 + law.asymmetry * math.copysign(1.0, force))
         size = abs(force)
         if size > bound:
-            # It slips; a bound that fell under the force (Stribeck) is followed with a lag.
+            # The element slips; it follows a decreasing bound (Stribeck) with a lag.
             size = max(bound, min(size, before + (bound - before) * law.slip_follow))
         floor = law.creep_floor * bound
         if size > floor:

@@ -1,6 +1,6 @@
-"""The arm's rigid body in MuJoCo: links, rotors, payload, gravity; no contacts, no constraints.
+"""Rigid body of the arm in MuJoCo: links, rotors, payload and gravity, without contacts.
 
-Friction, drives and control are not in here: they act on it as joint torques.
+Friction, drives and control are in other modules, and act on the rigid body as joint torques.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from hil.core import FloatArray, SpecError
 from hil_mock_robot.plant.truth import LinkTruth
 
 LEAST_INERTIA = 1e-9
-"""Added to every body [kg·m²]: a point mass is a fair payload, but MuJoCo wants some inertia."""
+"""Inertia [kg·m²] added to every body; a point mass is a valid payload, but MuJoCo requires an
+inertia."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plant:
-    """A compiled rigid-body model with its state and numpy views into it.
+    """Compiled rigid-body model with its state and numpy views of the state.
 
     Attributes:
-        model, data: MuJoCo's own objects; they must outlive the addresses.
+        model, data: MuJoCo objects, which must exist as long as their addresses are used.
     """
 
     model: Any
@@ -37,7 +38,7 @@ class Plant:
         return int(self.model._address), int(self.data._address)  # noqa: SLF001
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:
-        """(n, n) joint-space inertia at `q` (n,), rotors included [kg·m²]."""
+        """Return the joint-space inertia (n, n) at `q` (n,), rotors included [kg·m²]."""
         scratch = mujoco.MjData(self.model)
         scratch.qpos[:] = q
         mujoco.mj_forward(self.model, scratch)
@@ -46,7 +47,7 @@ class Plant:
         return full
 
     def inverse(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Joint torque (n,) that the motion needs [N·m], friction excluded."""
+        """Return the joint torque (n,) of a motion, without friction [N·m]."""
         scratch = mujoco.MjData(self.model)
         scratch.qpos[:], scratch.qvel[:], scratch.qacc[:] = q, qd, qdd
         mujoco.mj_inverse(self.model, scratch)
@@ -54,7 +55,7 @@ class Plant:
 
 
 def nominal_links(arm: ArmDescription) -> tuple[LinkTruth, ...]:
-    """Return the published links, which the robot's controller computes with."""
+    """Return the published links, which are the model of the robot's controller."""
     return tuple(
         LinkTruth(
             float(mass),
@@ -76,18 +77,18 @@ def build_plant(
     gravity: tuple[float, float, float],
     timestep: float,
 ) -> Plant:
-    """Build and compile the arm.
+    """Build and compile the rigid-body model of the arm.
 
-    Each body sits in the frame of its joint and turns about its z axis; the fixed rest of the DH
-    transform, Tz(d)·Tx(a)·Rx(α), leads to the distal frame in which inertias are given and the
-    next joint begins.
+    Each body has the frame of its joint and rotates about its z axis. The fixed part of the DH
+    transform, Tz(d)·Tx(a)·Rx(α), leads to the distal frame. Inertial parameters are given in the
+    distal frame, in which the next joint begins.
 
     Args:
         dh: (n, 4) rows of a, alpha, d, theta offset.
         links: n links in their distal DH frames.
         rotors: n reflected rotor inertias [kg·m²].
-        payload: Body at the flange, the distal frame of the last link.
-        gravity: In the base frame [m/s²].
+        payload: Payload at the flange, in the distal frame of the last link.
+        gravity: Gravity in the base frame [m/s²].
         timestep: Integration step [s].
     """
     spec = mujoco.MjSpec()
@@ -116,13 +117,13 @@ def build_plant(
     except ValueError as error:
         raise SpecError(
             f"the mock cannot simulate this arm: {error}",
-            hint="see mass_kg and inertia_kgm2 in the description of the arm",
+            hint="check mass_kg and inertia_kgm2 in the description of the arm",
         ) from error
     return Plant(model, mujoco.MjData(model))
 
 
 def _disabled() -> int:
-    """Everything an arm in free space does not need; autoreset would hide a blow-up."""
+    """Return the flags that disable unneeded features, and autoreset, which hides divergence."""
     bit = mujoco.mjtDisableBit
     flags = (
         bit.mjDSBL_CONTACT, bit.mjDSBL_CONSTRAINT, bit.mjDSBL_ACTUATION, bit.mjDSBL_SENSOR,

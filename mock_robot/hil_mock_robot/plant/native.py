@@ -1,7 +1,7 @@
-"""The two optional libraries behind the plant, and how compiled code calls MuJoCo.
+"""Optional libraries of the plant, and calls of MuJoCo from compiled code.
 
-numba cannot cache a function that closes over a ctypes pointer, so the addresses travel as
-integers and `call` emits the indirect call itself.
+numba cannot cache a function that closes over a ctypes pointer. Therefore addresses are passed as
+integers, and `call` emits the indirect call.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ HINT = 'pip install "hil[mock]"'
 
 
 def require_libraries() -> None:
-    """Check that MuJoCo and numba are there, without importing them.
+    """Raise if MuJoCo or numba is not installed, without importing them.
 
     Raises:
-        PluginError: One is missing.
+        PluginError: MuJoCo or numba is not installed.
     """
     missing = [name for name in ("mujoco", "numba") if find_spec(name) is None]
     if missing:
         raise plugins.not_installed("the mock robot", missing, "mock")
 
 
-require_libraries()  # first: what is missing is told with what to install
+require_libraries()  # before the imports, for a clear error message
 
 import mujoco  # noqa: E402
 from llvmlite import ir  # noqa: E402
@@ -38,7 +38,7 @@ from numba.extending import intrinsic  # noqa: E402
 
 
 def address_of(function: str) -> int:
-    """The address of a C function of MuJoCo, to be passed to compiled code."""
+    """Return the address of a C function of MuJoCo, for compiled code."""
     pointer = ctypes.cast(getattr(_library(), function), ctypes.c_void_p).value
     assert pointer is not None
     return pointer
@@ -46,7 +46,7 @@ def address_of(function: str) -> int:
 
 @cache
 def _library() -> ctypes.CDLL:
-    """The libmujoco of the wheel, already loaded by `import mujoco`, so shared."""
+    """Return the libmujoco of the wheel, which `import mujoco` has already loaded."""
     pattern = {"darwin": "libmujoco*.dylib", "win32": "mujoco.dll"}.get(
         sys.platform, "libmujoco.so*"
     )

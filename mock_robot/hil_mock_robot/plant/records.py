@@ -1,6 +1,6 @@
-"""Records and named tuples that the compiled step works on, and constants of the plant.
+"""Records and named tuples of the compiled step, and constants of the plant.
 
-Light to import: options and messages need the names, not MuJoCo and numba.
+This module imports neither MuJoCo nor numba, so that options and messages can use it at low cost.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import numpy as np
 from hil.core import FloatArray, SpecError, StructArray
 
 SERVO_S = 1e-3
-"""The servo's own cycle: the same whatever the substep, so that substeps can be compared."""
+"""Time between two servo cycles [s], independent of the integration step, so that results for
+different steps can be compared."""
 
 STATE = np.dtype(
     [
@@ -23,7 +24,7 @@ STATE = np.dtype(
         )
     ]
 )  # fmt: skip
-"""What one joint carries from step to step, beside MuJoCo's state and the slip elements."""
+"""State of one joint, in addition to MuJoCo's state and the slip elements."""
 
 HEAT = np.dtype([(name, np.float64) for name in ("idle_k", "k_per_w", "copper", "tau_s")])
 GRAVITY = 9.81
@@ -41,10 +42,10 @@ RUNAWAY, PROTECTIVE_STOP, EMERGENCY_STOP, WATCHDOG = 3, 4, 5, 6
 FAULTS = {
     1: "protective stop: a joint is more than 0.2 rad away from its set-point",
     2: "protective stop: a joint is at its torque limit",
-    RUNAWAY: "the simulated arm runs away",
+    RUNAWAY: "the simulated motion has become unstable",
     PROTECTIVE_STOP: "protective stop, injected",
     EMERGENCY_STOP: "emergency stop, injected",
-    WATCHDOG: "stopped by the controller's watchdog: nobody read it while it moved",
+    WATCHDOG: "stopped by the controller's watchdog: no client read the state during a motion",
 }
 
 FAULT_KINDS = {
@@ -55,7 +56,7 @@ FAULT_KINDS = {
     EMERGENCY_STOP: "emergency_stop",
     WATCHDOG: "watchdog",
 }
-"""One word for each fault, for the journal."""
+"""Map from fault code to a short name, for the journal."""
 
 
 class Native(NamedTuple):
@@ -71,7 +72,7 @@ class Native(NamedTuple):
 
 
 class Views(NamedTuple):
-    """Numpy views into MuJoCo's states, each (n,)."""
+    """Numpy views of MuJoCo's states, each (n,)."""
 
     q: FloatArray
     v: FloatArray
@@ -88,8 +89,8 @@ class Joints(NamedTuple):
 
     Attributes:
         laws, servos, heats, states: (n,) records of `LAW`, `SERVO`, `HEAT` and `STATE`.
-        shares, stiffness, forces: (n, E) slip elements.
-        rotors: (n,) reflected inertia [kg·m²].
+        shares, stiffness, forces: (n, E) values of the slip elements.
+        rotors: (n,) reflected rotor inertia [kg·m²].
     """
 
     laws: StructArray
@@ -103,11 +104,12 @@ class Joints(NamedTuple):
 
 
 class Disturbances(NamedTuple):
-    """Influences from outside the experiment; all (n,) and settable between blocks.
+    """External influences, all (n,); they may change between blocks.
 
     Attributes:
         push: External joint torque [N·m].
-        torque: Commanded joint torque [N·m] in place of the servo's, NaN for position control.
+        torque: Commanded joint torque instead of the servo's torque [N·m]; NaN for position
+            control.
         wear: Factor on all friction, 1 for a new joint.
     """
 
@@ -117,11 +119,11 @@ class Disturbances(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """How a sample is divided.
+    """Division of a sample into integration steps.
 
     Attributes:
-        substeps: Integration steps per sample.
-        per_servo: Integration steps per servo cycle.
+        substeps: Number of integration steps per sample.
+        per_servo: Number of integration steps per servo cycle.
         dt: Integration step [s].
     """
 
@@ -131,7 +133,7 @@ class Timing(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Temperature of the surroundings: mean [°C], swing [K], angular frequency and phase."""
+    """Room temperature: mean [°C], amplitude [K], angular frequency and phase of its drift."""
 
     mean: float
     swing: float
@@ -140,10 +142,10 @@ class Room(NamedTuple):
 
 
 def timing_of(rate_hz: float, substep_hz: float) -> Timing:
-    """Whole numbers of substeps per sample and per servo cycle.
+    """Return the whole numbers of integration steps per sample and per servo cycle.
 
     Raises:
-        SpecError: The rates do not divide each other.
+        SpecError: The rates are not multiples of each other.
     """
     substeps, per_servo = substep_hz / rate_hz, substep_hz * SERVO_S
     whole = all(n >= 1 and abs(n - round(n)) < 1e-9 for n in (substeps, per_servo))

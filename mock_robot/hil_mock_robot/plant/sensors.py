@@ -1,4 +1,4 @@
-"""Sensors: noise, quantisation and a dead band at rest between true and reported values."""
+"""Sensors: noise, quantisation, and a velocity dead band at standstill."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ CELSIUS_NOISE = 0.03
 
 
 class Sensors:
-    """The measurements of one robot; the same truth and order of samples give the same noise.
+    """Sensors of one robot; the same truth and order of samples give the same noise.
 
-    Every sample draws the same number of random values, row by row, so how the samples were cut
-    into blocks leaves no trace.
+    Every sample draws the same number of random values, row by row, so that the division of samples
+    into blocks has no effect.
     """
 
     def __init__(self, truth: Truth, day: int = 0) -> None:
@@ -34,7 +34,7 @@ class Sensors:
     def measure(
         self, q: FloatArray, qd: FloatArray, current: FloatArray, celsius: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Measured position, velocity, current and temperature of true ones, each (N, n)."""
+        """Return measured position, velocity, current and temperature for true values (N, n)."""
         noise = self._rng.standard_normal((len(q), 4, q.shape[1]))
         speed = np.abs(qd)
         share = speed / (speed + self._half_speed)
@@ -51,7 +51,7 @@ class Quanta:
     """Quantisation steps of a sensor.
 
     Args:
-        quantum: (n,) one step; 0 where there are none.
+        quantum: (n,) size of one step; 0 for no quantisation.
     """
 
     def __init__(self, quantum: FloatArray) -> None:
@@ -60,7 +60,7 @@ class Quanta:
         self._unstepped = None if stepped.all() else ~stepped
 
     def rounded(self, values: FloatArray) -> FloatArray:
-        """(N, n) rounded to whole steps; unchanged where there are none."""
+        """Return values (N, n) rounded to whole steps; unchanged without quantisation."""
         rounded: FloatArray = np.rint(values / self._step) * self._step
         if self._unstepped is not None:
             rounded[:, self._unstepped] = values[:, self._unstepped]

@@ -1,6 +1,7 @@
-"""The mock's joint servo: feed-forward from what the maker publishes, PD and an integrator.
+"""Joint servo of the mock: feed-forward from the manufacturer's published model, PD and integrator.
 
-Its gains come from the nominal arm only, as on a real robot: it does not know its own truth.
+The servo does not know the true parameters, as in a real robot: its gains come from the nominal
+model only.
 """
 
 from __future__ import annotations
@@ -24,23 +25,25 @@ from numba import njit  # noqa: E402
 BANDWIDTH_RAD_S = 60.0
 
 FULL_RAD = 0.035
-"""A position error that takes the whole torque limit; it makes light wrists stiff enough."""
+"""Position error at which the torque limit is reached [rad]; with this error, light wrists are
+stiff enough."""
 
 DAMPING = 0.7
 INTEGRAL_S = 0.8
 REST_INTEGRAL_S = 0.2
 
 REST_BAND_RAD = 5e-5
-"""Position errors at rest that the integrator leaves alone."""
+"""Position error at standstill below which the integrator does not act [rad]."""
 
 WINDUP_SHARE = 0.3
-"""The integrator may reach this share of the torque limit."""
+"""Largest torque of the integrator, as a share of the torque limit."""
 
 SIGN_RAD_S = 0.003
-"""Width of the smooth sign in the friction feed-forward: it lets go at the very end of a motion."""
+"""Width of the smooth sign in the friction feed-forward [rad/s]; the feed-forward fades at the
+end of a motion."""
 
 COMMANDS = 3
-"""Rows of a set-point: position, velocity, acceleration."""
+"""Number of rows of a set-point: position, velocity, acceleration."""
 
 SERVO = np.dtype(
     [
@@ -52,11 +55,11 @@ SERVO = np.dtype(
         )
     ]
 )  # fmt: skip
-"""One joint's servo (what it believes) and drive (`true_…`, what it gets)."""
+"""Parameters of one joint's servo (nominal values) and of its drive (`true_…`, true values)."""
 
 
 def servo_laws(arm: ArmDescription, truth: Truth, nominal: Plant) -> StructArray:
-    """(n,) records of `SERVO`, gains scaled by the nominal inertia each joint carries."""
+    """Return records of `SERVO` (n,), with gains scaled by the nominal inertia of each joint."""
     inertia = _typical_inertia(arm, nominal)
     records = np.zeros(arm.n_joints, dtype=SERVO)
     records["stiffness"] = np.maximum(inertia * BANDWIDTH_RAD_S**2, arm.effort_max / FULL_RAD)
@@ -78,7 +81,7 @@ def servo_laws(arm: ArmDescription, truth: Truth, nominal: Plant) -> StructArray
 
 
 def _typical_inertia(arm: ArmDescription, nominal: Plant) -> FloatArray:
-    """(n,) mean diagonal of the nominal mass matrix over the arm's usual range."""
+    """Return the mean diagonal (n,) of the nominal mass matrix over the arm's usual range."""
     rng = np.random.default_rng(0)
     poses = rng.uniform(arm.excite_min, arm.excite_max, size=(64, arm.n_joints))
     return np.asarray(np.mean([np.diag(nominal.mass_matrix(q)) for q in poses], axis=0))
@@ -86,7 +89,15 @@ def _typical_inertia(arm: ArmDescription, nominal: Plant) -> FloatArray:
 
 @njit(**COMPILED)
 def interpolate(before: FloatArray, after: FloatArray, share: float, period: float, j: int) -> Any:
-    """Cubic between two set-points (3, n) a `period` apart; returns position and velocity."""
+    """Return position and velocity of a cubic between two set-points (3, n).
+
+    Args:
+        before: (3, n) set-point at the beginning.
+        after: (3, n) set-point at the end.
+        share: Elapsed share of the period, 0 to 1.
+        period: Time between the set-points [s].
+        j: Index of the joint.
+    """
     q0, v0, q1, v1 = before[0, j], before[1, j] * period, after[0, j], after[1, j] * period
     step = q1 - q0
     quadratic = 3.0 * step - 2.0 * v0 - v1
@@ -98,17 +109,17 @@ def interpolate(before: FloatArray, after: FloatArray, share: float, period: flo
 
 @njit(**COMPILED)
 def feedforward_friction(law: Any, v: float, torque: float) -> float:
-    """The friction the controller expects at commanded speed `v` and joint torque [N·m]."""
+    """Return the controller's expected friction at commanded speed and joint torque [N·m]."""
     dry = law.coulomb + law.load_share * abs(torque)
     return float(dry * math.tanh(v / SIGN_RAD_S) + law.viscous * v)
 
 
 @njit(**COMPILED)
 def integrate_error(law: Any, integral: float, error: float, moving: bool, dt: float) -> float:
-    """The integrator's torque [N·m] after one servo cycle.
+    """Return the torque of the integrator after one servo cycle [N·m].
 
-    At rest it leaves small errors alone, as controllers do to keep stiction from making them
-    hunt. That is why a stuck joint keeps the friction its approach left it with.
+    At standstill the integrator ignores small errors, as real controllers do to prevent limit
+    cycles by stiction. A stuck joint therefore retains the friction force of its approach.
     """
     if moving:
         integral += law.integral * error * dt
@@ -119,6 +130,6 @@ def integrate_error(law: Any, integral: float, error: float, moving: bool, dt: f
 
 @njit(**COMPILED)
 def drive_torque(law: Any, current: float) -> float:
-    """Motor torque at the joint for a current: eq. 16 of the static friction paper."""
+    """Return the motor torque at the joint for a current (eq. 16, static friction paper)."""
     square = law.true_square * abs(current) * current
     return float(square + law.true_gain * current + law.true_constant)

@@ -1,8 +1,8 @@
-"""One drawn arm as its controller has it: the simulation, the sensors, the loads, the brakes.
+"""Arm with its controller: simulation, sensors, payloads and brakes of one robot.
 
 The embedded mock controller, the mock UR controller and the mock PLC command `ServoArm` by
-set-points and report its measurements in their own ways. (The mock CiA 402 drives have no
-controller of the whole arm, and thus an arm of their own: `cia402.body`.)
+set-points, and report its measurements in different formats. (The mock CiA 402 drives have no
+controller of the whole arm, and therefore use a different class: `cia402.body`.)
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from hil_mock_robot.plant.truth import Truth, published
 
 
 class ServoArm:
-    """One drawn arm, held by its servo or by its mechanical brakes.
+    """Arm of one robot, held by its servo or by its mechanical brakes.
 
     Args:
-        truth: Its true parameters.
+        truth: True parameters of the arm.
         setting: Rate, integration, gravity and temperature.
-        q: (n,) where it stands when it is switched on [rad].
-        mounted: The load that really hangs at the flange; the declared one when None.
-        declared: The load that the controller computes with at the start; none when None.
-        wear: (n,) factors of the friction; 1 when None.
-        sensors: Those of another arm with the same truth, to go on with its noise.
+        q: (n,) position at power-on [rad].
+        mounted: Payload that is mounted at the flange; None for the declared payload.
+        declared: Payload in the controller's model at the start; None for no payload.
+        wear: Factors on the friction, (n,); None for factors of 1.
+        sensors: Sensors of a different arm with the same truth, to continue its noise sequence.
 
     Attributes:
-        published: Its published description.
-        simulation: True state, pushes and wear.
-        braked: Whether the mechanical brakes hold it: nothing moves, no current flows.
-        declared: The load that the controller computes with.
+        published: Published description of the arm.
+        simulation: Simulation with the true state, external torques and wear.
+        braked: Whether the mechanical brakes hold the arm, without motion and without current.
+        declared: Present payload in the controller's model.
     """
 
     def __init__(
@@ -58,29 +58,29 @@ class ServoArm:
 
     @property
     def mounted(self) -> Payload:
-        """The load that really hangs at the flange."""
+        """Payload that is mounted at the flange."""
         return self._mounted or self.declared
 
     @property
     def setpoint(self) -> FloatArray:
-        """(3, n) position, velocity and acceleration that the servo follows."""
+        """Position, velocity and acceleration that the servo follows, (3, n)."""
         return self.simulation.setpoint
 
     @property
     def position(self) -> FloatArray:
-        """(n,) true joint position [rad]."""
+        """True joint position (n,) at the end of the last sample [rad]."""
         return self.simulation.position
 
     @property
     def speed(self) -> FloatArray:
-        """(n,) true joint speed [rad/s]."""
+        """True joint speed (n,) at the end of the last sample [rad/s]."""
         return self.simulation.speed
 
     def follow(self, setpoints: FloatArray) -> Samples:
-        """Follow set-points (N, 3, n), one per sample; closed brakes ignore them.
+        """Follow set-points (N, 3, n), one per sample; an arm with closed brakes ignores them.
 
         Returns:
-            True state. Fewer than N samples come back when the last of them has a fault.
+            True state of up to N samples. If a fault occurs, the last sample has the fault.
         """
         if self.braked:
             return self.simulation.stand(len(setpoints))
@@ -89,32 +89,33 @@ class ServoArm:
     def measure(self, samples: Samples) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return measured position [rad], velocity [rad/s], current [A], temperature [°C], (N, n).
 
-        Every sample is to be measured once, in order: the noise of the sensors depends on that.
+        Every sample must be measured exactly once and in order, because the noise depends on the
+        order.
         """
         q, qd, current, celsius = (samples[name] for name in ("q", "qd", "current", "celsius"))
         return self._sensors.measure(q, qd, current, celsius)
 
     def brake(self) -> None:
-        """Close the mechanical brakes where the arm is."""
+        """Close the mechanical brakes at the current position."""
         self.simulation.engage_brakes()
         self.braked = True
 
     def release(self) -> None:
-        """Let the servo hold the arm where the brakes have held it."""
+        """Open the mechanical brakes; the servo holds the current position."""
         if self.braked:
             self.simulation.engage_brakes()
             self.braked = False
 
     def declare(self, payload: Payload) -> None:
-        """Compute with another load, which is mounted as well unless `mounted` was given."""
+        """Change the payload of the controller's model; mount it unless `mounted` is set."""
         self.declared = payload
         self.simulation.set_payloads(self.mounted, payload)
 
     def mount(self, payload: Payload | None) -> None:
-        """Mount a load whatever is declared; None for the declared one."""
+        """Mount a payload independent of the declared payload; None for the declared payload."""
         self._mounted = payload
         self.simulation.set_payloads(self.mounted, self.declared)
 
     def push(self, torque: FloatArray) -> None:
-        """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
+        """Apply an external joint torque (n,) [N·m] from now on; zeros end it."""
         self.simulation.disturbances.push[:] = torque

@@ -1,6 +1,6 @@
-"""One mock robot in motion: set-points in, true state out, as fast as the processor allows.
+"""Simulation of one mock robot: set-points in, true state out, as fast as the processor allows.
 
-The embedded robot, and the servers that speak a real controller's protocol, are shells around this.
+The embedded robot and the servers with a real controller's protocol use this simulation.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ class Samples:
     """True state at the end of each sample; see `CHANNELS` for the order of `values`.
 
     Attributes:
-        values: (N, len(CHANNELS), n).
-        fault: 0, or one of the `FAULT_…` codes, which then holds for the last sample.
+        values: (N, len(CHANNELS), n) true state.
+        fault: Fault at the last sample: 0, or one of the `FAULT_…` codes.
     """
 
     values: FloatArray
     fault: int
 
     def __getitem__(self, channel: str) -> FloatArray:
-        """(N, n) of one of `CHANNELS`."""
+        """Return the values (N, n) of one of `CHANNELS`."""
         return self.values[:, CHANNELS.index(channel), :]
 
     def __len__(self) -> int:
@@ -52,13 +52,13 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """How a robot is set up and computed.
+    """Set-up and numerical settings of a robot.
 
     Attributes:
-        rate_hz: Samples per second.
-        substep_hz: Integration steps per second.
-        gravity: In the base frame [m/s²].
-        temperature_c: Temperature of all joints at the start; the room's when None.
+        rate_hz: Number of samples per second.
+        substep_hz: Number of integration steps per second.
+        gravity: Gravity in the base frame [m/s²].
+        temperature_c: Initial temperature of all joints [°C]; None for the room temperature.
     """
 
     rate_hz: float
@@ -69,16 +69,17 @@ class Setting:
 
 @dataclass(eq=False)
 class Simulation:
-    """A robot drawn as `truth`, holding `q` at the start.
+    """Simulation of the robot `truth`, which initially holds the position `q`.
 
     Attributes:
-        truth: What the robot is like.
-        setting: How it is set up.
-        q: (n,) joint position at the start [rad].
-        arm: Its published description.
-        disturbances: Pushes, torque commands and wear; change their arrays in place.
-        samples: Number of samples since it was switched on.
-        plant: The rigid body, rebuilt when the payload changes.
+        truth: True parameters of the robot.
+        setting: Set-up of the robot.
+        q: (n,) initial joint position [rad].
+        arm: Published description of the arm.
+        disturbances: External torques, torque commands and wear; the arrays may be changed in
+            place.
+        samples: Number of samples since power-on.
+        plant: Rigid-body model, rebuilt when the payload changes.
         joints: Parameters and state of friction, drives and servo.
     """
 
@@ -104,49 +105,49 @@ class Simulation:
 
     @property
     def setpoint(self) -> FloatArray:
-        """(3, n) position, velocity and acceleration last commanded."""
+        """Last commanded position, velocity and acceleration, (3, n)."""
         return self._setpoint.copy()
 
     @property
     def position(self) -> FloatArray:
-        """(n,) true joint position [rad]."""
+        """True joint position (n,) [rad]."""
         return np.array(self.plant.data.qpos)
 
     @property
     def speed(self) -> FloatArray:
-        """(n,) true joint speed [rad/s]."""
+        """True joint speed (n,) [rad/s]."""
         return np.array(self.plant.data.qvel)
 
     @property
     def celsius(self) -> FloatArray:
-        """(n,) joint temperatures."""
+        """Joint temperatures (n,) [°C]."""
         return np.array(self.joints.states["celsius"])
 
     @property
     def friction(self) -> FloatArray:
-        """(n,) friction torque of the last step [N·m]."""
+        """Friction torque of the last step (n,) [N·m]."""
         return np.array(self.joints.states["friction"])
 
     @property
     def nominal(self) -> Plant:
-        """The arm as its controller believes it to be."""
+        """Model of the arm in its controller."""
         return self._nominal
 
     @property
     def moment_target(self) -> FloatArray:
-        """(n,) torque of the last set-point by the nominal model, friction excluded [N·m]."""
+        """Torque of the last set-point in the nominal model, without friction, (n,) [N·m]."""
         return np.array(self._views.nominal_torque)
 
     def set_payloads(self, mounted: Payload, declared: Payload) -> None:
-        """Mount one load, and let the controller compute with another (usually the same) one."""
+        """Set the mounted payload and the (usually identical) payload of the controller's model."""
         self._load(mounted, declared, self.position, self.speed)
 
     def track(self, position: FloatArray, speed: FloatArray) -> None:
-        """Make a state (n,), (n,) the set-point; used around torque control."""
+        """Set position (n,) and speed (n,) as the set-point, before and after torque control."""
         self._setpoint[:] = position, speed, np.zeros_like(speed)
 
     def engage_brakes(self) -> None:
-        """Freeze the arm where it is and reset the integrators of the servo."""
+        """Stop the arm instantly at its position, and reset the integrators of the servo."""
         self.plant.data.qvel[:] = 0.0
         for held in ("integral", "overload_s"):
             self.joints.states[held] = 0.0
@@ -155,7 +156,7 @@ class Simulation:
     def advance(self, setpoints: FloatArray) -> Samples:
         """Follow `setpoints` (N, 3, n), one per sample.
 
-        Fewer than N samples come back when the last of them has a fault.
+        If a fault occurs, fewer than N samples are returned, and the last of them has the fault.
         """
         path = np.concatenate((self._setpoint[None], setpoints))
         values = np.zeros((len(setpoints), len(CHANNELS), self.arm.n_joints))
@@ -168,7 +169,7 @@ class Simulation:
         return Samples(values[:done], fault)
 
     def stand(self, count: int) -> Samples:
-        """Let `count` samples pass with the brakes engaged: nothing moves, no current flows."""
+        """Advance `count` samples with the brakes engaged, without motion and without current."""
         values = np.zeros((count, len(CHANNELS), self.arm.n_joints))
         values[:, CHANNELS.index("q")] = self.position
         values[:, CHANNELS.index("celsius")] = self.celsius
@@ -176,7 +177,7 @@ class Simulation:
         return Samples(values, 0)
 
     def settle(self, seconds: float = 1.0) -> None:
-        """Hold the set-point until the arm has sagged into its servo; costs no samples."""
+        """Hold the set-point until the servo is in equilibrium; reset samples and temperatures."""
         rows = round(seconds * self.setting.rate_hz)
         celsius = self.celsius
         self.advance(np.repeat(self._setpoint[None], rows, axis=0))
@@ -206,7 +207,7 @@ class Simulation:
         )
 
     def _load(self, mounted: Payload, declared: Payload, q: FloatArray, v: FloatArray) -> None:
-        """Build both models anew and put the arm into a state (n,), (n,)."""
+        """Rebuild both models and set the state of the arm: position (n,) and speed (n,)."""
         self.plant = build_plant(
             self.arm.dh, self.truth.links, self.joints.rotors.tolist(), mounted,
             self.setting.gravity, self._timing.dt,
@@ -217,13 +218,13 @@ class Simulation:
         self._attach()
 
     def _build_nominal(self, payload: Payload) -> Plant:
-        """The arm as its controller believes it to be."""
+        """Return the model of the arm in its controller."""
         links, rotors = nominal_links(self.arm), nominal_rotors(self.arm)
         gravity, dt = self.setting.gravity, self._timing.dt
         return build_plant(self.arm.dh, links, rotors, payload, gravity, dt)
 
     def _attach(self) -> None:
-        """Point the compiled step at the present models."""
+        """Pass the current models to the compiled step."""
         plant, nominal = self.plant, self._nominal
         truth = self.truth
         self._native = Native(

@@ -1,4 +1,4 @@
-"""The compiled step: a whole block of samples of plant, friction, heat and servo in one call."""
+"""Compiled step: plant, friction, heat and servo for a whole block of samples in one call."""
 
 from __future__ import annotations
 
@@ -24,19 +24,20 @@ require_libraries()
 from numba import njit  # noqa: E402
 
 CHANNELS = ("q", "qd", "current", "celsius", "current_target")
-"""What the step writes for every sample and joint, in the order of its output's axis 1."""
+"""Outputs of the step per sample and joint, in the order of axis 1 of its output array."""
 
 TRACKING_LIMIT_RAD = 0.2
 OVERLOAD_S = 0.1
 
 RUNAWAY_RAD_S = 100.0
-"""No arm is this fast: the integration has gone wrong, and MuJoCo must not see it."""
+"""Speed that no arm reaches [rad/s]. Above this speed the integration has diverged, and the
+state must not be passed to MuJoCo."""
 
 FAULT_TRACKING, FAULT_OVERLOAD, FAULT_RUNAWAY = 1, 2, 3
 
 
 def _entry(stamp: int) -> Any:
-    """The compiled entry point; closing over `stamp` puts it into the key of numba's cache."""
+    """Return the compiled entry point; `stamp` becomes part of the key of numba's cache."""
 
     @njit(cache=True, **COMPILED)
     def simulate(
@@ -69,7 +70,7 @@ def _simulate(
     setpoints: FloatArray,
     out: FloatArray,
 ) -> tuple[int, int]:
-    """See `simulate`."""
+    """Advance the arm; see `simulate`."""
     period = timing.substeps * timing.dt
     for row in range(out.shape[0]):
         before, after = setpoints[row], setpoints[row + 1]
@@ -96,7 +97,7 @@ def _simulate(
 
 @njit(**COMPILED)
 def _plan_feedforward(native: Native, views: Views, joints: Joints, setpoint: FloatArray) -> None:
-    """The nominal arm's torque at the end of the sample, from the controller's own model."""
+    """Compute the controller's feed-forward torque at the end of the sample."""
     for j in range(views.q.size):
         views.nominal_q[j] = setpoint[0, j]
         views.nominal_v[j] = setpoint[1, j]
@@ -121,7 +122,7 @@ def _command(
     period: float,
     timing: Timing,
 ) -> None:
-    """One servo cycle: set each joint's current."""
+    """Run one servo cycle, which sets the current of each joint."""
     cycle = timing.per_servo * timing.dt
     for j in range(views.q.size):
         servo, state = joints.servos[j], joints.states[j]
@@ -142,7 +143,7 @@ def _command(
 
 @njit(**COMPILED)
 def _act(views: Views, joints: Joints, outside: Disturbances, dt: float) -> None:
-    """Put motor torque, friction and pushes on the joints for one integration step."""
+    """Apply motor torque, friction and external torques for one integration step."""
     for j in range(views.q.size):
         state, v = joints.states[j], views.v[j]
         load = state.torque - state.friction - joints.rotors[j] * views.a[j]
@@ -160,14 +161,14 @@ def _act(views: Views, joints: Joints, outside: Disturbances, dt: float) -> None
 def _runs_away(views: Views) -> bool:
     calm = True
     for j in range(views.v.size):
-        # A comparison with NaN is false, so NaN runs away too.
+        # A comparison with NaN is false, so NaN counts as a runaway, too.
         calm = calm and abs(views.v[j]) < RUNAWAY_RAD_S
     return not calm
 
 
 @njit(**COMPILED)
 def _warm_up(joints: Joints, ambient: float, period: float) -> None:
-    """First-order warming by the losses of one sample."""
+    """Apply first-order warming by the losses of one sample."""
     for j in range(joints.states.size):
         state, heat = joints.states[j], joints.heats[j]
         target = ambient + heat.idle_k + heat.k_per_w * state.heat_j / period
@@ -198,22 +199,24 @@ def _fault(views: Views, joints: Joints, outside: Disturbances, setpoint: FloatA
 
 
 def _stamp() -> int:
-    """Return a number that changes with any file whose functions are compiled into the step."""
+    """Return a number that changes with every file whose functions are compiled into the step."""
     names = ("native", "records", "friction", "servo", "step")
     files = [Path(__file__).with_name(f"{name}.py") for name in names]
     return zlib.crc32(b"".join(file.read_bytes() for file in files))
 
 
 simulate: Callable[..., tuple[int, int]] = _entry(_stamp())
-"""Advance the arm sample by sample.
+"""Function that advances the arm sample by sample.
 
 Args:
-    native, views, joints, outside, timing, room: The robot; states are updated in place.
-    first: Number of samples since the robot was switched on.
-    setpoints: (N + 1, 3, n) position, velocity and acceleration; row 0 is where the last
-        block ended, the arm follows row i + 1 during sample i.
-    out: (N, len(CHANNELS), n) filled with what is true at the end of each sample.
+    native, views, joints, outside, timing, room: Robot and its surroundings; states are updated in
+        place.
+    first: Number of samples since power-on.
+    setpoints: (N + 1, 3, n) position, velocity and acceleration; row 0 is the end of the last
+        block, and the arm follows row i + 1 during sample i.
+    out: (N, len(CHANNELS), n) output array for the true state at the end of each sample.
 
 Returns:
-    Number of samples simulated, less than N when the last of them has a fault, and the fault.
+    Number of simulated samples, and fault code (0 for no fault). No samples are simulated after a
+    fault.
 """

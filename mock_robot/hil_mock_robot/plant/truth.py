@@ -1,7 +1,8 @@
-"""One individual robot: every true parameter, drawn from frozen ranges (decision record 0007).
+"""True parameters of one individual robot, drawn from frozen ranges (decision record 0007).
 
-`Truth` is frozen and serialisable. Nothing in `hil` can read it; it is written to a file only to
-score what was identified. `draw_truth` makes the individual of an arm, a seed and a profile.
+A `Truth` is immutable and serialisable. No code in `hil` can read a truth; a truth is written to a
+file only to evaluate an identification. `draw_truth` draws the true parameters of one robot for an
+arm, a seed and a profile.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ SCHEMA = 1
 
 @dataclass(frozen=True, slots=True)
 class LinkTruth:
-    """One link's inertial parameters in its distal DH frame.
+    """Inertial parameters of one link in its distal DH frame.
 
     Attributes:
-        mass_kg: Mass.
-        com_m: Centre of mass.
-        inertia_kgm2: (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about the centre of mass.
+        mass_kg: Mass [kg].
+        com_m: Centre of mass [m].
+        inertia_kgm2: (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) about the centre of mass [kg·m²].
     """
 
     mass_kg: float
@@ -40,16 +41,16 @@ class LinkTruth:
 
 @dataclass(frozen=True, slots=True)
 class DriveTruth:
-    """Motor and gear of one joint, seen at the joint: eq. 16 of the static friction paper.
+    """Motor and gear of one joint, on the joint side: eq. 16 of the static friction paper.
 
     Attributes:
-        rotor_kgm2: Inertia of the rotor reflected through the gear.
-        gain_nm_a: K1, torque per current.
-        square_nm_a2: K2, torque per signed squared current.
-        constant_nm: K0, torque at no current.
-        ripple_nm: Amplitude of the gear's torque ripple.
-        ripple_per_turn: Ripple periods per joint turn.
-        ripple_phase_rad: Phase of the ripple at q = 0.
+        rotor_kgm2: Rotor inertia reflected through the gear [kg·m²].
+        gain_nm_a: Coefficient K1, torque per current [N·m/A].
+        square_nm_a2: Coefficient K2, torque per signed squared current [N·m/A²].
+        constant_nm: Coefficient K0, torque at zero current [N·m].
+        ripple_nm: Amplitude of the gear's torque ripple [N·m].
+        ripple_per_turn: Number of ripple periods per turn of the joint.
+        ripple_phase_rad: Phase of the ripple at q = 0 [rad].
     """
 
     rotor_kgm2: float
@@ -63,25 +64,26 @@ class DriveTruth:
 
 @dataclass(frozen=True, slots=True)
 class FrictionTruth:
-    """Friction of one joint: Maxwell slip elements under a Stribeck limit, plus a viscous law.
+    """Friction of one joint: Maxwell slip elements with a Stribeck limit, plus viscous friction.
 
-    With no `elements` there is no presliding and Coulomb friction is Fc·tanh(v/smooth_rad_s).
+    Without `elements` there is no presliding, and Coulomb friction is Fc·tanh(v/smooth_rad_s).
 
     Attributes:
-        coulomb_nm: Fc at the reference temperature, forward and backward averaged.
-        stribeck_nm: Breakaway minus Coulomb friction at 20 °C.
-        stribeck_rad_s: Stribeck velocity.
+        coulomb_nm: Coulomb friction Fc at the reference temperature, mean of both directions [N·m].
+        stribeck_nm: Breakaway friction minus Coulomb friction at 20 °C [N·m].
+        stribeck_rad_s: Stribeck velocity vs [rad/s].
         stribeck_shape: Exponent δ in exp(−|v/vs|^δ).
-        viscous_nm: Viscous torque at 1 rad/s and the reference temperature.
+        viscous_nm: Viscous torque at 1 rad/s and the reference temperature [N·m].
         viscous_power: Exponent a in Fv·|v|^a·sign(v).
-        load_share: Friction per transmitted torque.
-        asymmetry: Relative difference of forward to mean friction.
-        offset_nm: Constant torque.
-        elements: (share of the limit, displacement at which it slips [rad]) per slip element.
-        slip_s: Time in which a slipping element follows a falling limit.
-        creep_s: Time in which elements relax at standstill.
-        creep_floor: Share of an element's limit below which it does not relax.
-        smooth_rad_s: Width of the smooth sign when there are no elements.
+        load_share: Friction torque per unit of torque that the gear transmits.
+        asymmetry: Relative difference between forward friction and mean friction.
+        offset_nm: Constant part of the friction torque [N·m].
+        elements: Pairs (share of the limit, displacement at which the element slips [rad]), one for
+            each slip element.
+        slip_s: Time constant with which a slipping element follows a decreasing limit [s].
+        creep_s: Time constant with which slip elements relax at standstill [s].
+        creep_floor: Share of an element's limit below which the element does not relax.
+        smooth_rad_s: Width of the smooth sign function if there are no elements [rad/s].
     """
 
     coulomb_nm: float
@@ -102,13 +104,13 @@ class FrictionTruth:
 
 @dataclass(frozen=True, slots=True)
 class ThermalTruth:
-    """How one joint warms up and what that does to its friction.
+    """Warming of one joint and its effect on friction.
 
     Attributes:
-        idle_k: Warming by the powered electronics alone.
-        resistance_k_w: Warming per watt of loss.
-        copper_w_a2: Winding loss per squared current.
-        tau_s: Time constant.
+        idle_k: Warming by the powered electronics without motion [K].
+        resistance_k_w: Warming per watt of loss [K/W].
+        copper_w_a2: Winding loss per squared current [W/A²].
+        tau_s: Thermal time constant [s].
         coulomb_per_k: Relative change of Coulomb friction per kelvin.
         viscous_per_k: Relative change of viscous friction per kelvin.
     """
@@ -123,15 +125,15 @@ class ThermalTruth:
 
 @dataclass(frozen=True, slots=True)
 class SensorTruth:
-    """Noise of one joint's measurements (standard deviations) and its current quantum.
+    """Noise of one joint's measurements (standard deviations) and current resolution.
 
     Attributes:
-        rest_a: Current noise at standstill.
-        moving_a: Current noise well above `Truth.noise_speed_rad_s`.
-        quantum_a: Resolution of the reported current, 0 for none.
-        q_rad: Position noise.
-        qd_rad_s: Velocity noise while moving.
-        qd_rest_rad_s: True speed below which the reported velocity is exactly 0.
+        rest_a: Current noise at standstill [A].
+        moving_a: Current noise far above `Truth.noise_speed_rad_s` [A].
+        quantum_a: Resolution of the reported current [A]; 0 for none.
+        q_rad: Position noise [rad].
+        qd_rad_s: Velocity noise in motion [rad/s].
+        qd_rest_rad_s: True speed below which the reported velocity is exactly 0 [rad/s].
     """
 
     rest_a: float
@@ -144,12 +146,13 @@ class SensorTruth:
 
 @dataclass(frozen=True, slots=True)
 class JointTruth:
-    """One joint: drive, friction, heat, sensors, and the friction its controller believes in.
+    """Drive, friction, heat and sensors of one joint, and the friction model of its controller.
 
     Attributes:
-        feedforward_coulomb_nm: Coulomb friction the controller compensates.
-        feedforward_load_share: Friction per joint torque the controller compensates.
-        feedforward_viscous_nm_s: Viscous friction the controller compensates.
+        feedforward_coulomb_nm: Coulomb friction that the controller compensates [N·m].
+        feedforward_load_share: Friction torque per unit of joint torque that the controller
+            compensates.
+        feedforward_viscous_nm_s: Viscous friction that the controller compensates [N·m·s/rad].
     """
 
     drive: DriveTruth
@@ -163,17 +166,18 @@ class JointTruth:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """A mock robot, complete.
+    """All true parameters of a mock robot.
 
     Attributes:
-        arm: Name of the published description it deviates from.
-        seed, profile: What it was drawn from.
+        arm: Name of the published description from which the robot deviates.
+        seed, profile: Seed and profile of the random draw.
         ranges: Version of the frozen parameter ranges.
-        links, joints: Per link and joint, base to flange.
-        ambient_c: Mean temperature of the room.
-        ambient_swing_k, ambient_period_s, ambient_phase_rad: Its slow drift.
-        reference_c: Temperature the friction parameters hold at.
-        noise_speed_rad_s: Speed at which current noise is half way to its moving level.
+        links, joints: Parameters per link and per joint, from base to flange.
+        ambient_c: Mean room temperature [°C].
+        ambient_swing_k, ambient_period_s, ambient_phase_rad: Slow drift of the room temperature.
+        reference_c: Reference temperature of the friction parameters [°C].
+        noise_speed_rad_s: Speed at which the current noise is halfway between its levels at
+            standstill and in motion [rad/s].
         schema: Version of this record.
     """
 
@@ -192,7 +196,7 @@ class Truth:
     schema: int = SCHEMA
 
     def to_json(self, path: Path | str) -> Path:
-        """Write the truth to `path`, whole or not at all; returns the path.
+        """Write the truth to `path` atomically; return the path.
 
         Raises:
             RecordingError: The file cannot be written.
@@ -205,9 +209,9 @@ class Truth:
         """Read a truth written by `to_json`.
 
         Raises:
-            DataError: The file is missing, not JSON, or not a truth of this version.
+            DataError: The file is missing, is not JSON, or is not a truth of this version.
         """
-        hint = "write it again from the arm, seed and profile it belongs to"
+        hint = "create it again from its arm, seed and profile"
         try:
             raw = json.loads(Path(path).read_text("utf-8"))
         except (OSError, ValueError) as error:
@@ -222,7 +226,7 @@ class Truth:
 
 
 def _build(kind: Any, raw: Any) -> Any:
-    """Turn parsed JSON into the nested dataclasses and tuples that `kind` describes."""
+    """Convert parsed JSON into the nested dataclasses and tuples of type `kind`."""
     if hasattr(kind, "__dataclass_fields__"):
         types = get_type_hints(kind)
         return kind(**{f.name: _build(types[f.name], raw[f.name]) for f in fields(kind)})
@@ -235,31 +239,35 @@ def _build(kind: Any, raw: Any) -> Any:
 
 
 JOINTS = 6
-"""Of the arms the frozen ranges are for."""
+"""Number of joints of the arms that the frozen ranges cover."""
 
 
 @cache
 def published(arm: str) -> ArmDescription:
-    """The published description of an arm; parsing it takes longer than drawing a robot."""
+    """Return the published description of an arm.
+
+    The description is cached, because parsing takes longer than drawing a robot.
+    """
     return load_arm(arm)
 
 
 @cache
 def ranges() -> dict[str, Any]:
-    """The frozen parameter ranges."""
+    """Return the frozen parameter ranges."""
     text = files("hil_mock_robot").joinpath("ranges.yaml").read_text("utf-8")
     parsed: dict[str, Any] = look_into(text)
     return parsed
 
 
 def draw_truth(arm: str = "ur5", seed: int = 0, profile: Profile = "full") -> Truth:
-    """The robot that belongs to an arm, a seed and a profile.
+    """Return the robot that is drawn for an arm, a seed and a profile.
 
-    Both profiles of a seed share bodies, rotors, K1 gains and noise; `ideal` keeps only
-    Coulomb–viscous friction, at one temperature, on a linear drive.
+    The two profiles of a seed share bodies, rotors, K1 gains and noise. The profile `ideal` has
+    only Coulomb and viscous friction, at one temperature, with a linear drive.
 
     Raises:
-        SpecError: There is no such arm or profile, or no drives for that many joints are known.
+        SpecError: There is no such arm or profile, or the arm has a number of joints for which
+            there are no drive data.
     """
     if profile not in ("ideal", "full"):
         raise SpecError(
@@ -268,9 +276,9 @@ def draw_truth(arm: str = "ur5", seed: int = 0, profile: Profile = "full") -> Tr
     described = published(arm)
     if described.n_joints != JOINTS:
         raise SpecError(
-            f"the mock's drives are of arms with {JOINTS} joints; {arm} has {described.n_joints}",
-            hint="simulate one of the six-joint arms, such as ur5 or lab6, or name another driver "
-            "in the station: docs/how-to/add-a-driver.md",
+            f"the mock simulates arms with {JOINTS} joints only; {arm} has {described.n_joints}",
+            hint="simulate a six-joint arm, such as ur5 or lab6, or set another driver in the "
+            "station: docs/how-to/add-a-driver.md",
         )
     truth = _draw_full(described, seed)
     return truth if profile == "full" else _idealise(truth)
@@ -303,7 +311,7 @@ def _draw_full(arm: ArmDescription, seed: int) -> Truth:
 
 
 class _Dice:
-    """Named draws from one random stream; the order of the calls is part of the ranges."""
+    """Random draws from one stream; the order of the calls is part of the frozen ranges."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -337,8 +345,9 @@ def _draw_link(arm: ArmDescription, i: int, dice: _Dice) -> LinkTruth:
 def _perturbed_inertia(inertia: FloatArray, limits: Any, dice: _Dice) -> FloatArray:
     """Stretch and tilt a rotational inertia.
 
-    It goes through the second-moment matrix Σ = ½tr(I)·1 − I, whose positive eigenvalues are all
-    that physical consistency asks for, so any stretch of them yields a body that can exist.
+    The perturbation applies to the second-moment matrix Σ = ½tr(I)·1 − I. Positive eigenvalues of Σ
+    are the condition for physical consistency, so the perturbed inertia is physically consistent
+    for any stretch.
     """
     second = np.trace(inertia) / 2 * np.eye(3) - inertia
     moments, axes = np.linalg.eigh(second)
@@ -356,7 +365,10 @@ def _rotation(axis: FloatArray, angle: float) -> FloatArray:
 
 
 def _scaled_table(arm: ArmDescription) -> dict[str, FloatArray]:
-    """The arm's own table, or the UR5's scaled by torque limit (thermal resistance inversely)."""
+    """Return the arm's own parameter table, or that of the UR5 scaled by the torque limits.
+
+    Thermal resistances are scaled by the inverse ratio of the torque limits.
+    """
     arms = ranges()["arms"]
     if arm.name in arms:
         return {key: np.array(column) for key, column in arms[arm.name].items()}
@@ -402,7 +414,10 @@ def _draw_friction(base: dict[str, float], dice: _Dice) -> FrictionTruth:
 
 
 def _draw_elements(limits: Any, dice: _Dice) -> tuple[tuple[float, float], ...]:
-    """Shares add up to 1; slip displacements are spread evenly up to the breakaway."""
+    """Return slip elements: shares of the limit sum to 1, slip displacements are evenly spaced.
+
+    The largest slip displacement is the breakaway displacement.
+    """
     count = dice.count(limits["elements"])
     breakaway = dice.within(limits["breakaway_rad"])
     shares = np.array([dice.within(limits["element_share"]) for _ in range(count)])
@@ -484,13 +499,13 @@ def _ideal_joint(joint: JointTruth) -> JointTruth:
 
 
 def _smooth_width(joint: JointTruth) -> float:
-    """The narrowest smooth sign [rad/s] that steps of 1 ms integrate without ringing."""
+    """Return the smallest width of the smooth sign that is stable with steps of 1 ms [rad/s]."""
     ideal = ranges()["ideal"]
     per_step = joint.friction.coulomb_nm * 1e-3 / joint.drive.rotor_kgm2
     return max(float(ideal["smooth_rad_s"]), per_step / float(ideal["smooth_steps"]))
 
 
 def nominal_rotors(arm: ArmDescription) -> list[float]:
-    """(n,) reflected rotor inertias as the maker's data sheet would have them [kg·m²]."""
+    """Return the reflected rotor inertias (n,) as in the manufacturer's data sheet [kg·m²]."""
     column: list[float] = _scaled_table(arm)["rotor_kgm2"].tolist()
     return column

@@ -1,5 +1,5 @@
-"""What all mock servers share: faults, journal, side channel, loop, options of the command line.
+"""Common parts of all mock servers: faults, journal, side channel, loop, command-line options.
 
-A mock is its protocol and a small declaration: the options of its command line, its faults (one
-class each, see `faults`), and what it answers on its side channel.
+Each mock consists of its protocol and a small declaration: its command-line options, its faults
+(one class each, see `faults`), and its answers on the side channel.
 """

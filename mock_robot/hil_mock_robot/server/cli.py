@@ -1,7 +1,8 @@
-"""The command line of a mock server: options that several mocks take, and running until a signal.
+"""Command line of a mock server: common options, and running until a signal.
 
-A mock builds its parser of its protocol's own options and of `add_arm` and `add_records`, and runs
-by `serve`: it serves until SIGINT, SIGTERM or SIGHUP, or asks a mock that runs (`tell`).
+The parser of a mock has the options of its protocol, and those of `add_arm` and `add_records`. The
+mock then either serves until SIGINT, SIGTERM or SIGHUP (`serve`), or sends a request to a running
+mock (`send`).
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from hil_mock_robot.plant.truth import Truth, draw_truth
 
 
 class Parser(argparse.ArgumentParser):
-    """The command line of `hil mock NAME` and `python -m hil_mock_robot NAME`.
+    """Command-line parser of `hil mock NAME` and `python -m hil_mock_robot NAME`.
 
     Args:
-        name: Of the mock.
-        prog: Command by which it was started; this process's own when empty.
-        description: Of the mock, for its help.
+        name: Name of the mock.
+        prog: Command that started the mock; empty for `python -m hil_mock_robot`.
+        description: Description of the mock, for its help.
 
     Attributes:
-        own: Whether it runs as a process of its own, not by way of `hil mock`.
+        own: Whether the mock was started without `hil mock`.
     """
 
     def __init__(self, name: str, prog: str, description: str) -> None:
@@ -35,40 +36,54 @@ class Parser(argparse.ArgumentParser):
         super().__init__(
             prog=prog or f"python -m hil_mock_robot {name}",
             formatter_class=WithDefaults,
-            description=f"{description} It is there when it says `ready`, until Ctrl-C.",
+            description=f"{description} The mock accepts clients after it has printed `ready`, "
+            "and runs until Ctrl-C.",
         )
 
     def add_arm(
         self, model: str, models: Sequence[str] | None, seed: int, *, start: str = "a safe pose"
     ) -> None:
-        """Add the options of the arm: model, pose, load.
+        """Add the options of the arm: model, starting pose, payload.
 
         Args:
-            model: By default.
-            models: Those it may be; None for any built-in arm and any description of one.
-            seed: By default.
-            start: Where the arm stands when nothing is said.
+            model: Default model.
+            models: Permitted models; None for any built-in arm and any arm description.
+            seed: Default seed.
+            start: Description of the default starting pose, for the help text.
         """
         add = self.add_argument
-        add("--model", default=model, choices=models, help="of the arm")
-        add("--seed", type=int, default=seed, help="which individual")
-        add("--profile", default="full", choices=("full", "ideal"), help="of the physics")
-        stands = f"where the arm stands at first, joint by joint; {start} without"
-        add("--start-q-deg", type=float, nargs="+", metavar="Q", help=stands)
-        hangs = "what really hangs at the flange, whatever is declared: mass and centre [m]"
-        add("--mounted-kg", type=float, nargs=4, metavar=("KG", "X", "Y", "Z"), help=hangs)
+        add("--model", default=model, choices=models, help="arm to simulate")
+        add("--seed", type=int, default=seed, help="seed of the random parameters of the arm")
+        add(
+            "--profile",
+            default="full",
+            choices=("full", "ideal"),
+            help="physics: all effects, or ideal",
+        )
+        pose = f"initial joint angles in degrees, one per joint; {start} without this option"
+        add("--start-q-deg", type=float, nargs="+", metavar="Q", help=pose)
+        payload = (
+            "true payload at the flange, independent of the declared one: mass, centre of mass [m]"
+        )
+        add("--mounted-kg", type=float, nargs=4, metavar=("KG", "X", "Y", "Z"), help=payload)
 
     def add_records(self) -> None:
-        """Add the options of faults and journal."""
+        """Add the options for faults, journal and true parameters."""
         add = self.add_argument
-        add("--faults", type=Path, help="YAML file: what goes wrong, and when")
-        add("--journal", type=Path, help="file for what it was told and what it did")
-        truth = "write every true parameter to this file, for scoring"
-        add("--truth", type=Path, help=truth if self.own else f"{truth}, and start nothing")
+        add("--faults", type=Path, help="YAML file with faults and their times")
+        add("--journal", type=Path, help="file for a log of requests and events")
+        truth = "write the true parameters to this file, for scoring"
+        add(
+            "--ground-truth",
+            dest="truth",
+            metavar="FILE",
+            type=Path,
+            help=truth if self.own else f"{truth}, without starting the mock",
+        )
 
 
 class WithDefaults(argparse.ArgumentDefaultsHelpFormatter):
-    """Defaults behind the options that have one worth telling."""
+    """Help formatter that shows only informative default values."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         default = action.default
@@ -77,7 +92,7 @@ class WithDefaults(argparse.ArgumentDefaultsHelpFormatter):
 
 
 def truth_of(given: argparse.Namespace) -> Truth:
-    """The individual that `add_arm` names; written to the file of `--truth`."""
+    """Return the true parameters of the arm; write them to a file if `--ground-truth` is set."""
     truth = draw_truth(given.model, given.seed, given.profile)
     if given.truth:
         truth.to_json(given.truth)
@@ -85,10 +100,10 @@ def truth_of(given: argparse.Namespace) -> Truth:
 
 
 class Loop(Protocol):
-    """The loop that serves a mock."""
+    """Main loop that serves a mock."""
 
     def run(self) -> None:
-        """Serve until `end`."""
+        """Serve until `end` is called."""
 
     def end(self) -> None:
         """Let `run` return; called by a signal handler."""
@@ -104,13 +119,13 @@ def serve(loop: Loop, ready: str) -> int:
 
 
 def show(answer: object) -> int:
-    """Print the answer to `tell` as JSON."""
+    """Print the answer to `send` as JSON."""
     print(json.dumps(answer), flush=True)  # noqa: T201
     return 0
 
 
 def exit_code_of(run: Callable[[], int]) -> int:
-    """Run a mock and return its exit code; errors are printed to standard error."""
+    """Run a mock and return its exit code; print errors to standard error."""
     try:
         return run()
     except HilError as error:

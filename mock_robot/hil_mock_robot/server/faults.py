@@ -1,6 +1,6 @@
-"""Faults of a mock: each kind is one class, with its name, its keys and what it does.
+"""Faults of a mock: one class per kind, with its name, its keys and its effect.
 
-A mock has a base class of its own, and below it one class a kind:
+Each mock has its own base class of faults, with one subclass per kind of fault:
 
     class PlcFault(Fault[Target], counted=("motion",), example="{kind: silence, at_s: 2.0}"):
         motion: int | None = count(None)
@@ -12,9 +12,10 @@ A mock has a base class of its own, and below it one class a kind:
         def end(self, mock: Target) -> None:
             mock.links.silent = False
 
-Keys are class attributes made by `number`, `count` and `choice`, which stand for their default. The
-base class reads the faults of a YAML file (`read`), of a list (`all_of`) or of one request
-(`one_of`). `Faults` lets them begin and end; `Schedule` tells when, tick by tick of device time.
+Keys are class attributes created by `number`, `count`, `seconds` and `choice`. After the definition
+of the class, each attribute contains the default of its key. The base class reads faults from a
+YAML file (`read`), from a list (`all_of`) or from one request (`one_of`). `Faults` begins and ends
+the faults at the ticks of device time that `Schedule` determines.
 """
 
 from __future__ import annotations
@@ -28,21 +29,23 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 from hil.core import SpecError, look_into
 
 LONGEST_S = 1e9
-"""Three decades: what is later never happens, and ticks until then can still be counted."""
+"""Maximum time of a fault [s], about three decades; the tick count up to this time is still
+exact."""
 
 ROUNDING = 1e-6
 REQUIRED: Any = object()
-"""Default of a key that a fault cannot do without."""
+"""Marker in place of the default value of a key, if every fault of the kind must contain the
+key."""
 
 
 class Key:
     """Permitted values of one key.
 
     Attributes:
-        default: Where nothing is said, or `REQUIRED`.
-        allowed: Whether a value fits.
-        words: How to say so.
-        whole: Whether numbers stay integers.
+        default: Value if the key is missing, or `REQUIRED`.
+        allowed: Function that returns whether a value is permitted.
+        words: Description of the permitted values, for messages.
+        whole: Whether a number stays an integer.
     """
 
     __slots__ = ("allowed", "default", "whole", "words")
@@ -54,7 +57,7 @@ class Key:
 
 
 def number(default: Any, least: float, most: float, words: str, *, whole: bool = False) -> Any:
-    """A key with a number from `least` to `most`."""
+    """Return a key whose value is a number from `least` to `most`."""
     kinds = int if whole else (int, float)
 
     def allowed(value: Any) -> bool:
@@ -65,19 +68,19 @@ def number(default: Any, least: float, most: float, words: str, *, whole: bool =
 
 
 def count(default: int | None = 1, least: int = 1) -> Any:
-    """A key with a whole number."""
-    return number(default, least, math.inf, f"a whole number from {least} up", whole=True)
+    """Return a key whose value is a whole number."""
+    return number(default, least, math.inf, f"a whole number ≥ {least}", whole=True)
 
 
 def seconds(default: Any, least: float = 0.0, most: float = LONGEST_S) -> Any:
-    """A key with a time [s]."""
+    """Return a key whose value is a time [s]."""
     end = "1e9" if most == LONGEST_S else f"{most:g}"
     start = "-1e9" if least == -LONGEST_S else f"{least:g}"
     return number(default, least, most, f"a number of seconds from {start} to {end}")
 
 
 def choice(default: Any, allowed: Callable[[Any], bool], words: str) -> Any:
-    """A key with a value that is no number."""
+    """Return a key whose value is not a number."""
     return Key(default, allowed, words)
 
 
@@ -87,22 +90,23 @@ def _lasting_s(value: Any) -> bool:
 
 
 M = TypeVar("M", contravariant=True)
-"""What of a mock its faults act on."""
+"""Type variable: parts of a mock on which the faults of the mock act."""
 
 
 class Fault(Generic[M]):
-    """One fault, which happens once.
+    """Fault of a mock; a fault happens once.
 
     Attributes:
-        kind: What a file or a request calls it.
-        lasts: Whether it lasts and has an end; else it is a moment's matter.
-        keys: Key → what its value may be, with those of the base classes.
-        kinds: All kinds of the same mock.
-        counted: Keys by which a fault waits for something that is counted, such as `motion`.
-        example: A fault that can be, for messages.
-        at_s: Device time since the mock was started at which it begins.
-        after_s: Device time since what it waits for began.
-        for_s: Device time it lasts; infinite until it is cleared.
+        kind: Name of the fault in a file or a request.
+        lasts: Whether the fault has a duration and an end; otherwise it is a single event.
+        keys: Map from key to permitted values, including the keys of the base classes.
+        kinds: Map from name to class, for all kinds of faults of the same mock.
+        counted: Keys with which a fault waits for a counted event, such as `motion`.
+        example: Valid fault as an example in messages.
+        at_s: Device time since the start of the mock at which the fault begins [s].
+        after_s: Delay of the fault after the counted event, in device time [s].
+        for_s: Duration of the fault in device time [s]; by default infinite, until the fault is
+            cleared.
     """
 
     kind: ClassVar[str] = ""
@@ -136,37 +140,37 @@ class Fault(Generic[M]):
         if kind:
             cls.kind, cls.lasts, cls.kinds[kind] = kind, lasts, cls
         if lasts:
-            words = "a number of seconds from 0 to 1e9; nothing for ever"
+            words = "a number of seconds from 0 to 1e9; infinite without"
             cls.keys = {**cls.keys, "for_s": Key(cls.for_s, _lasting_s, words, whole=False)}
 
     def __init__(self, **given: Any) -> None:
         vars(self).update(given)
 
     def require(self, mock: M, where: str) -> None:
-        """Raise if this mock cannot have it.
+        """Raise if the mock lacks the part on which the fault acts.
 
         Raises:
-            SpecError, CommandRefused: It has not what the fault would strike.
+            SpecError, CommandRefused: The mock lacks the part on which the fault acts.
         """
 
     def begin(self, mock: M) -> None:
         """Begin the fault."""
 
     def end(self, mock: M) -> None:
-        """End the fault; called only where it `lasts`."""
+        """End the fault; called only if `lasts` is true."""
 
     @classmethod
     def make(cls, kind: str, **given: Any) -> Self:
-        """Return a fault of a kind; missing keys have their defaults."""
+        """Return a fault of a kind; missing keys have their default values."""
         made: Self = cls.kinds[kind](**given)  # type: ignore[assignment]
         return made
 
     @classmethod
     def read(cls, path: Path) -> tuple[Self, ...]:
-        """Return the faults of a YAML file: `faults:` and a list, or the list alone.
+        """Return the faults of a YAML file, which contains a list, or `faults:` with a list.
 
         Raises:
-            SpecError: It cannot be read, or a fault in it cannot be.
+            SpecError: The file cannot be read, or a fault is invalid.
         """
         try:
             given = look_into(path.read_text("utf-8"))
@@ -182,25 +186,27 @@ class Fault(Generic[M]):
 
     @classmethod
     def all_of(cls, given: Any, name: str = "faults") -> tuple[Self, ...]:
-        """Return the faults of a list, each with its beginning.
+        """Return the faults of a list; each fault must specify when it begins.
 
         Raises:
-            SpecError: One is unknown or cannot be; the message names it.
+            SpecError: A fault is unknown or invalid; the message names the fault.
         """
         if isinstance(given, str | Mapping) or not isinstance(given, Sequence):
             raise SpecError(f"{name} is {given!r}", hint=f"give a list: [{cls.example}]")
         faults = tuple(cls.one_of(f"{name}[{i}]", entry) for i, entry in enumerate(given))
         for i, (entry, fault) in enumerate(zip(given, faults, strict=True)):
             if all(getattr(fault, what) is None for what in ("at_s", *cls.counted)):
-                raise _wrong(f"{name}[{i}]", entry, f"say when: {_or(['at_s', *cls.counted])}")
+                raise _wrong(
+                    f"{name}[{i}]", entry, f"set the beginning: {_or(['at_s', *cls.counted])}"
+                )
         return faults
 
     @classmethod
     def one_of(cls, where: str, given: Any) -> Self:
-        """Return one fault; without a time it begins now.
+        """Return one fault; without a time, the fault begins immediately.
 
         Raises:
-            SpecError: It is unknown or cannot be.
+            SpecError: The fault is unknown or invalid.
         """
         name = given.get("kind") if isinstance(given, Mapping) else None
         if not isinstance(name, str) or name not in cls.kinds:
@@ -208,19 +214,19 @@ class Fault(Generic[M]):
         kind, where = cls.kinds[name], f"{where} ({name})"
         unknown = sorted(str(key) for key in set(given) - {"kind", *kind.keys})
         if unknown:
-            hint = f"this kind has {', '.join(kind.keys)}"
+            hint = f"use one of {', '.join(kind.keys)}"
             raise SpecError(f"{where} has no key {unknown[0]}", hint=hint)
         begins = ["at_s", *cls.counted]
         if sum(key in given for key in begins) > 1:
-            raise _wrong(where, dict(given), f"give one of {_or(begins, 'and')}")
+            raise _wrong(where, dict(given), f"give only one of {_or(begins, 'and')}")
         if "after_s" in given and not any(key in given for key in cls.counted):
-            hint = f"it counts from the start of a {_or(list(cls.counted))}"
+            hint = f"after_s counts from the start of a {_or(list(cls.counted))}: give that too"
             raise _wrong(f"{where}.after_s", given["after_s"], hint)
         values: dict[str, Any] = {}
         for key, rule in kind.keys.items():
             if key not in given:
                 if rule.default is REQUIRED:
-                    raise SpecError(f"{where} lacks {key}", hint="say by how many seconds")
+                    raise SpecError(f"{where} lacks {key}", hint=f"give {rule.words}")
                 continue
             value = given[key]
             if not rule.allowed(value):
@@ -241,15 +247,17 @@ F = TypeVar("F", bound=Fault[Any])
 
 
 class Schedule(Generic[F]):
-    """Counts ticks, motions and the like since the mock was started; a reboot changes nothing.
+    """Schedule of faults by ticks and counted events since the mock was started.
+
+    A reboot of the simulated controller does not reset the schedule.
 
     Args:
         faults: Planned faults.
-        tick_s: Device time of a tick.
+        tick_s: Device time of a tick [s].
 
     Attributes:
-        ticks: Since the start.
-        lasting: Faults that have begun and last.
+        ticks: Number of ticks since the start.
+        lasting: Faults that have begun and have not ended.
     """
 
     def __init__(self, faults: Sequence[F], tick_s: float) -> None:
@@ -265,11 +273,11 @@ class Schedule(Generic[F]):
 
     @property
     def idle(self) -> bool:
-        """Whether ticks change nothing: nothing is dated and nothing ends."""
+        """Whether no fault has a planned start or end, so that ticks change nothing."""
         return not self._dated and not self._ends
 
     def add(self, fault: F) -> bool:
-        """Add a fault; return whether it begins at once because no time was given."""
+        """Add a fault; return whether the fault begins immediately, because it has no time."""
         if any(getattr(fault, what) is not None for what in fault.counted):
             self._waiting.append(fault)
         elif fault.at_s is not None:
@@ -280,11 +288,11 @@ class Schedule(Generic[F]):
         return False
 
     def began(self, what: str, number: int | None = None) -> None:
-        """Note that something counted, such as a `motion`, begins with this tick.
+        """Record that a counted event, such as a `motion`, begins with the present tick.
 
         Args:
-            what: One of the faults' `counted`.
-            number: Which one; the next when None.
+            what: Name of the event, one of `counted`.
+            number: Number of the event; None for the next event of this name.
         """
         self._counts[what] = self._counts[what] + 1 if number is None else number
         mine = [each for each in self._waiting if getattr(each, what) == self._counts[what]]
@@ -292,7 +300,7 @@ class Schedule(Generic[F]):
         self._dated += [(self.ticks + self._count(each.after_s), each) for each in mine]
 
     def turn(self, ticks: int = 1) -> tuple[list[F], list[F]]:
-        """Let ticks pass; return the faults that begin with them, and those that end."""
+        """Advance the ticks; return the faults that begin and the faults that end."""
         self.ticks += ticks
         begun = [fault for first, fault in self._dated if first <= self.ticks]
         over = [fault for end, fault in self._ends if end <= self.ticks]
@@ -305,19 +313,25 @@ class Schedule(Generic[F]):
         return begun, over
 
     def unchanged(self, most: int) -> int:
-        """Return how many of the next `most` ticks, with this one, pass before the next change."""
+        """Return the number of the next ticks up to the next change, at most `most`.
+
+        The count includes the present tick and is at least 1.
+        """
         ahead = [tick - self.ticks for tick, _ in (*self._dated, *self._ends)]
         return max(1, min([most, *ahead]))
 
     def clear(self, keep: str = "") -> list[F]:
-        """Forget all but lasting faults of one kind; return the other lasting ones."""
+        """Remove all faults except lasting faults of kind `keep`.
+
+        The method returns the lasting faults that were removed.
+        """
         lasting = [fault for fault in self.lasting if fault.kind != keep]
         self._dated, self._waiting = [], []
         self.mend(keep)
         return lasting
 
     def mend(self, keep: str = "") -> None:
-        """Forget lasting faults that are not of one kind; later ones still come."""
+        """Remove lasting faults except those of kind `keep`; planned faults remain."""
         self.lasting = [fault for fault in self.lasting if fault.kind == keep]
         self._ends = [(end, fault) for end, fault in self._ends if fault.kind == keep]
 
@@ -328,7 +342,7 @@ class Schedule(Generic[F]):
                 self._ends.append((tick + self._count(fault.for_s), fault))
 
     def _count(self, seconds: float) -> int:
-        """Ticks in a time, rounded up, at least one."""
+        """Return the number of ticks in a time, rounded up; the result is at least 1."""
         return max(1, math.ceil(seconds / self._tick_s - ROUNDING))
 
 
@@ -336,22 +350,23 @@ T = TypeVar("T")
 
 
 class Faults(Generic[T]):
-    """Lets faults strike a mock, and end again.
+    """Scheduler that begins and ends the faults of a mock.
 
     Args:
-        mock: What of it they act on.
-        kinds: The base class of its faults.
-        tick_s: Device time of a tick.
+        mock: Parts of the mock on which the faults act.
+        kinds: Base class of the faults of the mock.
+        tick_s: Device time of a tick [s].
         planned: Planned faults.
-        stays: Kind of fault that `clear` leaves to its own end.
-        mend: Called by `clear` to forget what a moment's fault still owes.
+        stays: Kind of fault that `clear` does not end.
+        mend: Function that `clear` calls to cancel pending effects of single-event faults.
 
     Attributes:
-        mock: As given.
-        listeners: Called with each fault, and whether it begins.
+        mock: Parts of the mock on which the faults act.
+        listeners: Functions that are called with each fault and with whether the fault begins or
+            ends.
 
     Raises:
-        SpecError, CommandRefused: The mock has not what a fault would strike.
+        SpecError, CommandRefused: The mock lacks the part on which a fault acts.
     """
 
     def __init__(
@@ -371,14 +386,14 @@ class Faults(Generic[T]):
 
     @property
     def lasting(self) -> list[Fault[T]]:
-        """Faults that have begun and last."""
+        """Faults that have begun and have not ended."""
         return self._schedule.lasting
 
     def add(self, given: object, where: str = "fault") -> Fault[T]:
-        """Add a fault, such as from the side channel; without a time it begins at once.
+        """Add a fault, for example from the side channel; without a time, it begins immediately.
 
         Raises:
-            SpecError, CommandRefused: It is unknown or cannot be.
+            SpecError, CommandRefused: The fault is unknown or invalid.
         """
         fault = self._kinds.one_of(where, given)
         fault.require(self.mock, f"{where} ({fault.kind})")
@@ -387,33 +402,36 @@ class Faults(Generic[T]):
         return fault
 
     def clear(self) -> None:
-        """End lasting faults and forget later ones."""
+        """End lasting faults and remove planned faults."""
         for fault in self._schedule.clear(self._stays):
             self._end(fault)
         self._mend()
 
     def plan(self, fault: Fault[T]) -> None:
-        """Add a fault with its beginning."""
+        """Add a fault that specifies when it begins."""
         self._schedule.add(fault)
 
     def mend(self) -> None:
-        """Forget lasting faults, because the parts they act on are new; later ones still come."""
+        """Remove lasting faults because the affected parts were replaced by new ones.
+
+        Planned faults remain in the schedule.
+        """
         self._schedule.mend()
 
     def began(self, what: str, number: int | None = None, at: int | None = None) -> None:
-        """Note that something begins that faults may wait for, such as a `motion`.
+        """Record the start of a counted event, such as a `motion`.
 
         Args:
-            what: One of `Fault.counted`.
-            number: Which one; the next when None.
-            at: After how many ticks; now when None.
+            what: Name of the event, one of `Fault.counted`.
+            number: Number of the event; None for the next event of this name.
+            at: Number of ticks after which the event begins; None for now.
         """
         if at is not None:
             self._schedule.ticks = at
         self._schedule.began(what, number)
 
     def passed(self, ticks: int = 1) -> None:
-        """Let ticks of device time pass."""
+        """Advance device time by a number of ticks; begin and end the faults that are due."""
         if self._schedule.idle:
             self._schedule.ticks += ticks
             return
@@ -424,11 +442,14 @@ class Faults(Generic[T]):
             self._begin(fault)
 
     def reach(self, tick: int) -> None:
-        """Let device time pass up to this tick."""
+        """Advance device time up to tick number `tick`."""
         self.passed(tick - self._schedule.ticks)
 
     def unchanged(self, most: int) -> int:
-        """Return how many of the next `most` ticks, with this one, pass before the next change."""
+        """Return the number of the next ticks until the next change, at most `most`.
+
+        The count includes the present tick and is at least 1.
+        """
         return self._schedule.unchanged(most)
 
     def _begin(self, fault: Fault[T]) -> None:

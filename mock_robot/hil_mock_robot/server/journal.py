@@ -1,8 +1,9 @@
-"""The journal of a mock: its commands and actions, an independent record of a run.
+"""Journal of a mock: an independent record of the commands and actions of a run.
 
-One JSON object a line. Every line is one `write` to a file opened for appending: it survives the
-death of the process, lines of several robots do not mix, and a signal handler may write one.
-`RestWatch` adds when a stopped arm truly came to rest, judged by its true speed.
+The journal contains one JSON object per line. Every line of the journal is written by one `write`
+to a file that is opened for appending. A line that has been written therefore survives a crash of
+the process, lines of several robots do not mix, and a signal handler can write a line. `RestWatch`
+adds the time at which a stopped arm really came to rest, according to the true speed of the arm.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ from hil_mock_robot.server.faults import Fault
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """When something happened, and how fast the arm was.
+    """Time of an event, and the speed of the arm at that time.
 
     Attributes:
-        monotonic_s: The machine's monotonic clock, the same in all processes [s].
-        device_time: The controller's clock [s].
-        speed_rad_s: True speed of the fastest joint.
+        monotonic_s: Monotonic clock of the computer, equal in all processes [s].
+        device_time: Clock of the controller [s].
+        speed_rad_s: True speed of the fastest joint [rad/s].
     """
 
     monotonic_s: float
@@ -39,11 +40,11 @@ class Moment:
 
 
 class Journal:
-    """Appends lines to a file, or does nothing.
+    """Writer that appends lines to a file, or discards them if there is no file.
 
     Args:
-        path: The file; None for no journal.
-        robot: The robot's name, in every line.
+        path: Path of the file; None for no journal.
+        robot: Name of the robot, which every line contains.
     """
 
     def __init__(self, path: str | None, robot: str) -> None:
@@ -52,10 +53,10 @@ class Journal:
         self._lost = 0
 
     def open(self) -> None:
-        """Open the file, if it is not; older lines stay.
+        """Open the file if it is not open; existing lines remain.
 
         Raises:
-            RobotConnectionError: It cannot be written: a robot without its witness stays off.
+            RobotConnectionError: The file cannot be written, so the robot must not start.
         """
         if self._path is None or self._file is not None:
             return
@@ -69,7 +70,7 @@ class Journal:
             ) from error
 
     def note(self, event: str, at: Moment, **details: Any) -> None:
-        """Write one line; a disk that refuses does not disturb the robot."""
+        """Write one line; an error while writing does not disturb the robot."""
         if self._file is None:
             return
         line = {
@@ -91,17 +92,17 @@ class Journal:
             self._lost += 1
 
     def close(self) -> None:
-        """Close the file; `open` goes on where it ended."""
+        """Close the file; after a new call of `open`, further lines are appended."""
         if self._file is not None:
             os.close(self._file)
             self._file = None
 
 
 def read_journal(path: Path | str) -> list[Mapping[str, Any]]:
-    """The lines of a journal, in order.
+    """Return the lines of a journal, in order.
 
     Raises:
-        DataError: There is no such file, or a line is not a JSON object.
+        DataError: The file cannot be read, or a line is not a JSON object.
     """
     try:
         text = Path(path).read_text("utf-8")
@@ -114,20 +115,20 @@ def read_journal(path: Path | str) -> list[Mapping[str, Any]]:
 
 
 REST_RAD_S = 0.01
-"""An arm whose joints are all slower than this, and stay so, is at rest."""
+"""Speed below which all joints must remain for an arm at rest [rad/s]."""
 
 SURE_AFTER_S = 0.1
-"""Device time without a faster joint after which an arm counts as staying at rest."""
+"""Device time without a faster joint after which an arm counts as at rest [s]."""
 
 
 class RestWatch:
-    """Follows the arm from the first command to stop to the first moment it stays at rest.
+    """Observation of the arm from the first stop command until the arm remains at rest.
 
     Args:
-        journal: Gets a line once after each motion.
+        journal: Journal that receives one line when the arm has come to rest after a stop.
 
     Attributes:
-        resting: Whether it is known to be at rest.
+        resting: Whether the arm is known to be at rest.
     """
 
     def __init__(self, journal: Journal) -> None:
@@ -144,29 +145,29 @@ class RestWatch:
         return bool(self._cause)
 
     def stopped(self, cause: str, at: Moment) -> None:
-        """Begin; later causes of the same stop change nothing."""
+        """Begin the observation; further causes of the same stop are ignored."""
         if not self._cause and not self._told:
             self._cause, self._stopped, self._candidate = cause, at, None
 
     def moved(self) -> None:
-        """A motion begins: whatever came before, the arm is not at rest."""
+        """Record the start of a motion: the arm is not at rest, and earlier stops are over."""
         self._cause, self.resting, self._told = "", False, False
 
     def see(
         self, device_time: FloatArray, qd: FloatArray, until_s: float, spacing_s: float
     ) -> None:
-        """Look for rest in samples, once the arm was stopped.
+        """Search samples of a stopped arm for the time at which the arm came to rest.
 
         Args:
-            device_time: (N,) of each sample [s].
-            qd: (N, n) true joint speeds [rad/s].
-            until_s: Monotonic time of the last sample.
-            spacing_s: Wall time between samples.
+            device_time: Device time of each sample, (N,) [s].
+            qd: True joint speeds, (N, n) [rad/s].
+            until_s: Monotonic time at which the last sample was due [s].
+            spacing_s: Wall time between samples [s].
         """
         if not self._cause or not len(qd):
             return
         fastest = np.abs(qd).max(axis=1)
-        # NaN is no rest, and compares false.
+        # NaN compares false and therefore counts as moving.
         fast = np.flatnonzero(~(fastest < REST_RAD_S))
         first = int(fast[-1]) + 1 if len(fast) else 0
         if len(fast):
@@ -179,13 +180,13 @@ class RestWatch:
             self._tell(found)
 
     def locked(self, cause: str, at: Moment) -> None:
-        """The mechanical brakes hold the arm from this moment on."""
+        """Record that the closed brakes keep the arm at rest from this time on."""
         self.stopped(cause, at)
         if self._cause:
             self._tell(at)
 
     def finish(self) -> None:
-        """End the watch, because the robot is closed: apparent rest counts as rest."""
+        """End the observation because the robot is closed; an apparent rest counts as rest."""
         if self._cause and self._candidate is not None:
             self._tell(self._candidate)
 
@@ -201,12 +202,12 @@ class RestWatch:
 
 
 class Witness(ABC):
-    """Writes the journal of a mock; subclasses add the events of its clients and parts.
+    """Writer of the journal of a mock; subclasses add the events of its clients and parts.
 
-    It does not know what a client believes to have done.
+    The journal is independent of what clients report.
 
     Args:
-        journal: Where it is written.
+        journal: Journal to write.
     """
 
     def __init__(self, journal: Journal) -> None:
@@ -214,32 +215,32 @@ class Witness(ABC):
 
     @abstractmethod
     def moment(self) -> Moment:
-        """Return the present time and speed."""
+        """Return the present times and the speed of the arm."""
 
     def note(self, event: str, **details: Any) -> None:
-        """Write a line."""
+        """Write one line about an event to the journal."""
         self._journal.note(event, self.moment(), **details)
 
     def struck(self, fault: Fault[Any], begins: bool) -> None:
-        """A fault on request begins or is over."""
+        """Write to the journal that an injected fault begins or ends."""
         self.note("fault" if begins else "fault_over", kind=fault.kind)
 
     def stumbled(self, where: str, what: str) -> None:
-        """The mock itself has made a mistake, and goes on."""
+        """Write that an internal error of the mock occurred and was contained."""
         self.note("mishap", where=where, what=what)
 
     def close(self, **details: Any) -> None:
-        """The last line."""
+        """Write the last line of the journal and close the journal."""
         self._rest.finish()
         self.note("closed", **details)
         self._journal.close()
 
 
 def journal_of(path: Path | str | None, robot: str) -> Journal:
-    """The journal of a mock, open; one without a file does nothing.
+    """Return the open journal of a mock; a journal without a path discards all lines.
 
     Raises:
-        RobotConnectionError: It cannot be written.
+        RobotConnectionError: The file cannot be written.
     """
     journal = Journal(str(path) if path else None, robot)
     journal.open()

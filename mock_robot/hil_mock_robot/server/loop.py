@@ -1,8 +1,9 @@
-"""The loop of a mock server, and mistakes of the mock itself.
+"""Main loop of a mock server, and handling of internal errors of the mock.
 
-One thread does everything, so that nothing needs a lock: a `Loop` makes one turn after the other
-until a signal handler or another thread ends it. A mistake of the mock ends one client or one
-program, not the whole mock (`Mishaps`); in tests nothing is contained: there it has to be seen.
+A single thread does all work, so no lock is needed: `Loop` makes one turn after the other until a
+signal handler or another thread ends the loop. An internal error of the mock ends one client or one
+program, not the whole mock (`Mishaps`). In tests, internal errors are not contained, so that they
+become visible.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from collections.abc import Callable
 
 
 class Loop(ABC):
-    """One thread for everything.
+    """Main loop of a mock server, which runs in a single thread.
 
     Attributes:
-        woken: A socket that is readable once the loop is to turn at once.
+        woken: Socket that becomes readable when the loop must make its next turn at once.
     """
 
     def __init__(self) -> None:
@@ -31,14 +32,14 @@ class Loop(ABC):
 
     @abstractmethod
     def turn(self) -> None:
-        """Serve clients, and let due time pass."""
+        """Serve clients, and advance device time if a tick is due."""
 
     @abstractmethod
     def leave(self) -> None:
         """Close all connections, and write the last line of the journal."""
 
     def run(self) -> None:
-        """Serve until `end`."""
+        """Make turns until `end` is called."""
         try:
             while not self._ending:
                 self.turn()
@@ -46,40 +47,40 @@ class Loop(ABC):
             self.close()
 
     def end(self) -> None:
-        """Let `run` return; may be called by a signal handler or another thread."""
+        """Let `run` return; a signal handler or another thread can call it."""
         self._ending = True
         self.wake()
 
     def close(self) -> None:
-        """Leave, without having run or after it."""
+        """Close connections and sockets; `run` need not have been called before."""
         self.leave()
         for each in (self.woken, self._waker):
             each.close()
 
     def wake(self) -> None:
-        """Wake the loop from waiting."""
+        """Wake the loop from its wait for clients or ticks."""
         with contextlib.suppress(OSError):
             self._waker.send(b"x")
 
     def woke(self) -> None:
-        """Note that it has turned."""
+        """Clear the wake-up after a turn."""
         with contextlib.suppress(BlockingIOError):
             self.woken.recv(64)
 
 
 MOST_TOLD = 20
-"""Of what comes again and again; the rest is only counted."""
+"""Maximum number of different errors that are printed; further errors are only counted."""
 
 LONGEST = 200
 
 
 class Mishaps:
-    """Handles unexpected exceptions in the mock.
+    """Handler of unexpected exceptions in the mock.
 
     Attributes:
-        contained: Whether the mock goes on.
-        listeners: Called with the place and the text.
-        counts: Where and what → how often.
+        contained: Whether the mock continues after an exception.
+        listeners: Functions called with the place and the text of an error.
+        counts: Map from place and text of an error to the number of its occurrences.
     """
 
     def __init__(self) -> None:
@@ -88,27 +89,27 @@ class Mishaps:
         self.counts: Counter[tuple[str, str]] = Counter()
 
     def met(self, error: Exception, where: str) -> str:
-        """Report an exception; return its text in ASCII, which any protocol can carry.
+        """Report an exception; return its text in ASCII, which any protocol can transmit.
 
         Args:
-            error: The exception.
-            where: The program or client that the mistake ended.
+            error: Exception.
+            where: Program or client that is ended by the error.
 
         Raises:
-            Exception: The error itself, unless mishaps are contained.
+            Exception: The error itself is raised again, unless errors are contained.
         """
         if not self.contained:
             raise error
         what = ascii(error)[:LONGEST]
         self.counts[where, what] += 1
         if self.counts[where, what] == 1 and len(self.counts) <= MOST_TOLD:
-            self._tell(error, where, what)
+            self._report(error, where, what)
         return what
 
-    def _tell(self, error: Exception, where: str, what: str) -> None:
+    def _report(self, error: Exception, where: str, what: str) -> None:
         lines = "".join(traceback.format_exception(error))
         text = lines.encode("ascii", "backslashreplace").decode()
         with contextlib.suppress(OSError, ValueError):
-            print(f"mistake of the mock in {where}:\n{text}", file=sys.stderr, flush=True)  # noqa: T201
+            print(f"internal error of the mock in {where}:\n{text}", file=sys.stderr, flush=True)  # noqa: T201
         for listener in self.listeners:
             listener(where, what)

@@ -1,9 +1,10 @@
-"""The side channel of a mock: requests past its protocol, for tests and for `hil mock … tell`.
+"""Side channel of a mock: requests beside its protocol, for tests and for `hil mock … send`.
 
-One JSON object a line, each answered by one line, in order; `{"error": …}` when it cannot be. All
-mocks know `fault`, `clear`, `state`, `push` and `mount` (`Requests`); a mock adds its own.
-`SideChannel` serves them over a socket of this user, and waits for no client. `Tell` is the other
-end: one request from a shell.
+Each request is a JSON object on one line and is answered by one line, in order; a failed request is
+answered by `{"error": …}`. All mocks support `fault`, `clear`, `state`, `push` and `mount`
+(`Requests`); a mock can add further requests. `SideChannel` serves the requests over a socket of
+the same user, and never waits for a client. `Tell` is the client side: an instance sends one
+request from a shell.
 """
 
 from __future__ import annotations
@@ -49,24 +50,25 @@ Answer = dict[str, Any]
 
 LONGEST_LINE = 100_000
 UNREAD_S = 1.0
-"""Wall time a client may leave an answer unread; it is hung up on then."""
+"""Wall time [s] after which a client that does not read an answer is disconnected."""
 
 ANSWER_S = 60.0
-"""How long an answer may take: a long step of a mock in lock-step takes a while [s]."""
+"""Maximum wait for an answer [s]; a long step of a mock in lock-step takes time."""
 
 NO_SIDE = "none"
-"""`--side none`: there is no side channel."""
+"""Value of `--side` for a mock without a side channel."""
 
 
 class Requests(ABC):
-    """Requests to a mock.
+    """Handler of the requests to a mock.
 
     Args:
-        faults: Of the mock.
-        axes: How many joints its arm has.
+        faults: Fault schedule of the mock.
+        axes: Number of joints of the arm.
 
     Attributes:
-        answers: Request → what answers it; None: the answer comes later.
+        answers: Map from request to the function that returns its answer, or None if the answer
+            follows later.
     """
 
     def __init__(self, faults: Faults[Any], axes: int) -> None:
@@ -85,34 +87,34 @@ class Requests(ABC):
 
     @abstractmethod
     def push(self, torque: FloatArray) -> None:
-        """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
+        """Apply an external joint torque (n,) [N·m] from now on; zeros end it."""
 
     @abstractmethod
     def mount(self, payload: Payload | None) -> None:
-        """Mount a load, whatever is declared; None for the declared one."""
+        """Mount a payload, independent of the declared payload; None for the declared payload."""
 
     def answer(self, request: object) -> Answer | None:
-        """Carry out a request and return its answer.
+        """Execute a request and return its answer.
 
         Raises:
-            HilError: It cannot be done.
+            HilError: The request is unknown, invalid or refused.
         """
         do = request.get("do") if isinstance(request, dict) else None
         if not isinstance(request, dict) or not isinstance(do, str) or do not in self.answers:
             raise SpecError(
-                f"the side channel does not know {request!r}",
+                f"unknown request {request!r}",
                 hint=f'send {{"do": …}} with one of {", ".join(self.answers)}',
             )
         return self.answers[do](request)
 
     def line(self, line: bytes) -> Answer | None:
-        """Answer a line of JSON; errors are answers, too."""
+        """Return the answer to a line of JSON; an error is an answer too."""
         try:
             return self.answer(json.loads(line))
         except HilError as error:
             return {"error": error.message, "hint": error.hint}
         except (ValueError, RecursionError) as error:
-            return {"error": f"no JSON: {error}", "hint": "send one JSON object a line"}
+            return {"error": f"not JSON: {error}", "hint": "send one JSON object a line"}
 
     def _fault(self, request: Request) -> Answer:
         given = {key: value for key, value in request.items() if key != "do"}
@@ -135,25 +137,25 @@ class Requests(ABC):
 
 
 def torque_in(request: Request, n: int) -> FloatArray:
-    """(n,) external joint torque [N·m].
+    """Return the external joint torque (n,) of a request [N·m].
 
     Raises:
-        SpecError: It is none.
+        SpecError: The torque is invalid.
     """
     torque = numbers_of(request.get("torque"), n)
     if torque is None or max(map(abs, torque)) > MOST_TORQUE_NM:
         raise SpecError(
-            f"push: torque is {request.get('torque')!r}",
+            f"push: invalid torque {request.get('torque')!r}",
             hint=f"give {n} numbers up to {MOST_TORQUE_NM:g} N·m; zeros end the push",
         )
     return np.array(torque)
 
 
 def payload_in(request: Request) -> Payload | None:
-    """Return the load to be mounted; None for the declared one.
+    """Return the payload to mount; None for the declared payload.
 
     Raises:
-        SpecError: It is no body.
+        SpecError: Mass or centre of mass is invalid.
     """
     if request.get("mass_kg", 0) is None:
         return None
@@ -161,39 +163,39 @@ def payload_in(request: Request) -> Payload | None:
     com = numbers_of(request.get("com_m", [0.0, 0.0, 0.0]), 3)
     if mass is None or com is None or not 0 <= mass[0] <= MOST_KG or max(map(abs, com)) > MOST_M:
         raise SpecError(
-            f"mount: {dict(request)}",
+            f"mount: invalid payload {dict(request)}",
             hint=f"give mass_kg from 0 to {MOST_KG:g}, and com_m, three numbers up to {MOST_M:g} m",
         )
     return Payload(mass[0], (com[0], com[1], com[2]))
 
 
 def factor_in(request: Request) -> float:
-    """Device seconds per second of wall time.
+    """Return the device seconds per second of wall time in a request.
 
     Raises:
-        SpecError: That is no speed.
+        SpecError: The factor is invalid.
     """
     number = numbers_of([request.get("factor")], 1)
     if number is None or not LEAST_FACTOR <= number[0] <= MOST_FACTOR:
         hint = f"use a number from {LEAST_FACTOR:g} to {MOST_FACTOR:g}"
-        raise SpecError(f"speed: factor is {request.get('factor')!r}", hint=hint)
+        raise SpecError(f"speed: invalid factor {request.get('factor')!r}", hint=hint)
     return number[0]
 
 
 def listed(values: FloatArray) -> list[float | None]:
-    """Return an array for JSON; None stands for NaN."""
+    """Return an array as a list for JSON; non-finite numbers become None."""
     return [float(value) if math.isfinite(value) else None for value in values]
 
 
 class SideChannel:
-    """Listens for those who run the mock.
+    """Server of the side channel for the operator of the mock.
 
     Args:
-        path: Of its socket; what a dead mock has left there is replaced.
-        requests: Answers each request at once.
+        path: Path of the server's socket; a socket file of a dead mock is replaced.
+        requests: Handler that answers each request immediately.
 
     Raises:
-        PluginError: It cannot listen there.
+        PluginError: The server cannot listen at this path.
     """
 
     def __init__(self, path: Path | str, requests: Requests) -> None:
@@ -203,11 +205,11 @@ class SideChannel:
 
     @property
     def sockets(self) -> list[socket.socket]:
-        """Readable when there is something to serve."""
+        """Sockets of the server; one of them is readable if a request or a new client arrives."""
         return [self._listening, *self._clients]
 
     def serve(self) -> None:
-        """Answer waiting requests, without waiting for more."""
+        """Answer the waiting requests, without waiting for further requests."""
         ready, _, _ = select.select(self.sockets, [], [], 0.0)
         if self._listening in ready:
             with contextlib.suppress(OSError):
@@ -263,10 +265,10 @@ def usual_path(name: str) -> str:
 
 
 class _Client:
-    """One client; the mock never waits for it.
+    """Connection of one client, for which the mock never waits.
 
     Args:
-        line: The connection.
+        line: Socket of the connection.
     """
 
     def __init__(self, line: socket.socket) -> None:
@@ -275,13 +277,13 @@ class _Client:
         self._unread_s = time.monotonic()
 
     def ask(self, answer: Callable[[bytes], bytes]) -> None:
-        """Read requests, and keep the answers.
+        """Read requests, and store the answers.
 
         Args:
-            answer: To one line.
+            answer: Function that returns the answer to one line.
 
         Raises:
-            OSError: It has gone, or asks for too much.
+            OSError: The client has disconnected, or its request is too long.
         """
         data = self.line.recv(65_536)
         *lines, self._asked = (self._asked + data).split(b"\n")
@@ -292,13 +294,13 @@ class _Client:
             raise ConnectionError
 
     def hear(self, now_s: float) -> None:
-        """Send answers as far as the client takes them.
+        """Send as much of the stored answers as the client accepts.
 
         Args:
-            now_s: Wall time, monotonic.
+            now_s: Present time of the monotonic clock [s].
 
         Raises:
-            OSError: It has gone, or does not read.
+            OSError: The client has disconnected, or does not read.
         """
         while self._answers:
             try:
@@ -314,16 +316,16 @@ class _Client:
 
 @dataclass(frozen=True)
 class Tell:
-    """How a shell asks a mock that runs for something.
+    """Command-line client of the side channel, which sends a request to a running mock.
 
     Attributes:
-        command: Such as `hil mock ur`.
-        who: What does not answer where no mock listens.
-        requests: Their names, for the help.
-        examples: For the help.
-        places: Options that say which mock: option → type, help.
-        elsewhere: Hint where none listens.
-        main_keys: Request → what a bare word after it means.
+        command: Command of the mock, such as `hil mock ur`.
+        who: Subject of the message that no mock answers.
+        requests: Names of the requests, for the help.
+        examples: Examples for the help.
+        places: Map from an option that selects the mock to its type and help text.
+        elsewhere: Hint that is printed if no mock listens.
+        main_keys: Map from request to the key that is assumed for a value without a key.
     """
 
     command: str
@@ -335,33 +337,34 @@ class Tell:
     main_keys: Mapping[str, str] = field(default_factory=lambda: {"fault": "kind"})
 
     def add_to(self, parser: argparse.ArgumentParser) -> None:
-        """Add `tell` with a request to a command line, in place of starting a mock."""
+        """Add the subcommand `send`, formerly `tell`, with a request to a command line."""
         commands = parser.add_subparsers(
-            dest="command", metavar="[tell REQUEST …]", parser_class=argparse.ArgumentParser
+            dest="command", metavar="[send REQUEST …]", parser_class=argparse.ArgumentParser
         )
-        tell = commands.add_parser(
-            "tell",
-            help="in place of starting one: ask a mock that runs for something, such as a fault, "
-            "or its end; `tell --help` tells more",
+        send = commands.add_parser(
+            "send",
+            help="send a request to a running mock, such as a fault, instead of starting a mock; "
+            "see `send --help`",
             epilog=f"examples:\n{self.examples}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
-            description="One request to a mock that runs; its answer is printed as JSON.",
+            description="Send one request to a running mock, and print its answer as JSON.",
         )
-        left_out = argparse.SUPPRESS  # or it would overrule what stands before `tell`
+        commands.choices["tell"] = send  # former name, not listed in the help
+        left_out = argparse.SUPPRESS  # a default would override an option before `send`
         for option, (kind, words) in self.places.items():
-            tell.add_argument(option, type=kind, default=left_out, help=words)
-        tell.add_argument("request", help=self.requests)
-        tell.add_argument("more", nargs="*", metavar="KEY=VALUE", help="what the request holds")
+            send.add_argument(option, type=kind, default=left_out, help=words)
+        send.add_argument("request", help=self.requests)
+        send.add_argument("more", nargs="*", metavar="KEY=VALUE", help="keys of the request")
 
     def request(self, do: str, more: Sequence[str]) -> dict[str, Any]:
-        """The request that words of a shell stand for; values are JSON where they can be.
+        """Return the request for the words of a command line; parse values as JSON if possible.
 
         Args:
-            do: The request's name.
-            more: `KEY=VALUE`, or a bare value.
+            do: Name of the request.
+            more: Words `KEY=VALUE`, or a value without a key.
 
         Raises:
-            SpecError: A word has no key.
+            SpecError: A word has no key, or a key is repeated.
         """
         request: dict[str, Any] = {"do": do}
         for word in more:
@@ -369,22 +372,22 @@ class Tell:
             if not equals:
                 key, value = self.main_keys.get(do, ""), word
             if not key or key in request:
-                raise SpecError(f"tell {do}: {word!r} is no KEY=VALUE", hint="such as for_s=2")
+                raise SpecError(f"send {do}: {word!r} is not KEY=VALUE", hint="such as for_s=2")
             request[key] = value
             with contextlib.suppress(ValueError):
                 request[key] = json.loads(value)
         return request
 
     def ask(self, place: str | tuple[str, int], request: Request) -> Answer:
-        """Ask a mock for something; its answer.
+        """Send a request to a mock and return its answer.
 
         Args:
-            place: Path of its socket, or address and port.
-            request: See the reference of the mock.
+            place: Path of the socket, or address and port.
+            request: Request; see the reference of the mock.
 
         Raises:
-            RobotConnectionError: No mock listens there.
-            CommandRefused: It does not do that.
+            RobotConnectionError: No mock answers at this path or address.
+            CommandRefused: The mock answered with an error.
         """
         unix = isinstance(place, str)
         try:

@@ -1,1 +1,1 @@
-"""A mock PLC: what TwinCAT with the contract of `hil` answers over ADS."""
+"""Mock PLC: a simulated TwinCAT PLC with the ADS contract of `hil`."""

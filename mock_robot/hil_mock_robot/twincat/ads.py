@@ -1,8 +1,9 @@
-"""ADS over TCP: connections, and what the server of a PLC answers.
+"""ADS over TCP: connections, and the answers of the server of a PLC.
 
-`PlcHandler` answers requests, as a handler of pyads' own test server does. `Links` replaces that
-server's other half, which takes whatever one `recv` of 4096 bytes gives for one request, keeps all
-requests in memory, and ends the conversation at a request that it cannot serve.
+`PlcHandler` answers requests and has the interface of a handler of the test server in pyads.
+`Links` replaces the network part of that test server, which has three defects: it treats the result
+of one `recv` of 4096 bytes as one request, stores all requests in memory, and ends the connection
+at an unsupported request.
 """
 
 from __future__ import annotations
@@ -26,17 +27,17 @@ RUN, CONFIG = constants.ADSSTATE_RUN, constants.ADSSTATE_CONFIG
 NO_SERVICE, NO_GROUP, NO_OFFSET, WRONG_SIZE, NO_SYMBOL = 0x701, 0x702, 0x703, 0x705, 0x710
 
 OTHER_VERSION = 0x711
-"""ADS return codes."""
+"""ADS return code for a request with a handle from before an online change."""
 
 NO_PORT = 6
-"""AMS error: the port of a request is not open."""
+"""AMS error code: the AMS port of a request is not open."""
 
 SHORT = 256
-"""Commands and beats are shorter, set-points longer [bytes]."""
+"""Size that separates short writes (commands, beats) from long writes (set-points) [bytes]."""
 
 
 class Refused(Exception):
-    """A request that is answered with an ADS return code."""
+    """Error of a request that is answered with an ADS return code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"ADS return code {code:#x}")
@@ -46,21 +47,21 @@ class Refused(Exception):
 _RESPONSE = 0x0001
 
 _WITH_LENGTH = frozenset({constants.ADSCOMMAND_READ, constants.ADSCOMMAND_READWRITE})
-"""Services whose answer has a length behind its return code."""
+"""Services whose answer contains a length after its return code."""
 
 
 class PlcHandler(AbstractHandler):  # type: ignore[misc]
-    """Answers requests for one PLC.
+    """Handler of ADS requests to one PLC.
 
     Args:
-        memory: Of the PLC.
-        port: AMS port of its runtime.
+        memory: Memory of the PLC.
+        port: AMS port of the PLC runtime.
 
     Attributes:
-        memory: Of the PLC.
-        state: ADS state it reports; other than RUN, its runtime is not there.
-        spoils: Whether what is written arrives with a bit that is wrong, where it is long.
-        loses_stops: Whether what is written to `nStop` is acknowledged and lost.
+        memory: Memory of the PLC.
+        state: Reported ADS state; in any state but RUN, the runtime does not answer.
+        spoils: Whether one bit of every long write is corrupted.
+        loses_stops: Whether writes to `nStop` are acknowledged but not executed.
     """
 
     def __init__(self, memory: Memory, port: int) -> None:
@@ -77,7 +78,7 @@ class PlcHandler(AbstractHandler):  # type: ignore[misc]
         }
 
     def handle_request(self, request: Any) -> AmsResponseData:
-        """The answer to one request; see `pyads.testserver.handler.AbstractHandler`."""
+        """Return the answer to one request; see `pyads.testserver.handler.AbstractHandler`."""
         header = request.ams_header
         (flags,) = struct.unpack("<H", header.state_flags)
         (command,) = struct.unpack("<H", header.command_id)
@@ -95,10 +96,10 @@ class PlcHandler(AbstractHandler):  # type: ignore[misc]
         return AmsResponseData(answered, bytes(4), data)
 
     def serve(self, command: int, data: bytes) -> bytes:
-        """Return the answer of one service, after its return code.
+        """Return the answer of one service, without its return code.
 
         Raises:
-            Refused: It answers with a return code.
+            Refused: The service answers with an ADS return code.
         """
         service = self._services.get(command)
         if service is None:
@@ -212,14 +213,14 @@ class PlcHandler(AbstractHandler):  # type: ignore[misc]
 ADS_PORT = 48898
 
 LONGEST = 8_000_000
-"""A request that says to be longer is none [bytes]."""
+"""Maximum length of a request [bytes]; a longer request is invalid."""
 
 
 class Answers(Protocol):
-    """The handler for `pyads.testserver`."""
+    """Handler of requests for `pyads.testserver`."""
 
     def handle_request(self, request: object) -> AmsResponseData:
-        """The answer to one request."""
+        """Return the answer to one request."""
 
 
 _HEAD = struct.Struct("<HI")
@@ -227,18 +228,18 @@ _SHORTEST = 32
 
 
 class Links:
-    """Everybody who is connected to the PLC.
+    """TCP connections of all clients of the PLC.
 
     Args:
         address: Loopback address to listen on.
-        answers: Answers requests.
+        answers: Handler that answers requests.
         port: TCP port.
 
     Attributes:
-        silent: Whether requests are left unanswered: they are kept until they are.
+        silent: Whether requests are not answered; they are stored until answers are enabled again.
 
     Raises:
-        PluginError: The port is taken.
+        PluginError: The port is in use.
     """
 
     def __init__(self, address: str, answers: Answers, port: int = ADS_PORT) -> None:
@@ -249,7 +250,7 @@ class Links:
         self.listen()
 
     def listen(self) -> None:
-        """Open the port, if it is not."""
+        """Open the port, unless it is open."""
         if self._listening is not None:
             return
         try:
@@ -257,18 +258,18 @@ class Links:
         except OSError as error:
             raise PluginError(
                 f"{self._address}:{self._port} cannot be used: {error.strerror}",
-                hint="is another mock PLC running? give this one another --address",
+                hint="end the other mock PLC, or give this one a different --address",
             ) from error
 
     def cut(self) -> None:
-        """Close all connections and refuse new ones, until `listen`."""
+        """Close all connections and refuse new connections until `listen` is called."""
         for line in [*self._received, *([self._listening] if self._listening else [])]:
             line.close()
         self._received.clear()
         self._listening = None
 
     def serve(self, wait_s: float) -> None:
-        """Answer requests that have come, or come within that wall time [s]."""
+        """Answer received requests; wait at most `wait_s` of wall time for new requests [s]."""
         listening = [self._listening] if self._listening else []
         readable, _, _ = select.select([*listening, *self._received], [], [], max(0.0, wait_s))
         for line in readable:
@@ -284,7 +285,7 @@ class Links:
         with contextlib.suppress(OSError):
             line, _ = listening.accept()
             line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            line.settimeout(1.0)  # for sending: a client that does not take its answers is dropped
+            line.settimeout(1.0)  # limit for sending: a client that does not read is dropped
             self._received[line] = b""
 
     def _receive(self, line: socket.socket) -> None:
@@ -298,7 +299,7 @@ class Links:
             self._hang_up(line)
 
     def _answer(self, line: socket.socket) -> None:
-        """Every whole request that has come."""
+        """Answer every complete request of a connection."""
         data, at = self._received[line], 0
         while len(data) - at >= _HEAD.size:
             _, length = _HEAD.unpack_from(data, at)

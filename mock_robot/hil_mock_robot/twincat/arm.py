@@ -1,4 +1,4 @@
-"""The arm behind the PLC: a `ServoArm` whose drives report torques or currents."""
+"""Arm of the mock PLC: a `ServoArm` whose drives report torques or currents."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Measured(NamedTuple):
     """Measurements of the drives in N cycles; arrays are (N, n).
 
     Attributes:
-        q, qd: [rad], [rad/s].
-        effort, effort_target: Torque at the joint [N·m] or motor current [A].
-        celsius: [°C].
-        true_qd: Without noise, for the journal.
-        fault: 0, or a code of `plant.records.FAULTS` that holds for the last cycle.
+        q, qd: Measured position [rad] and velocity [rad/s].
+        effort, effort_target: Torque at the joint [N·m] or motor current [A], measured and target.
+        celsius: Joint temperature [°C].
+        true_qd: Velocity without noise, for the journal [rad/s].
+        fault: Fault code of `plant.records.FAULTS` in the last cycle; 0 for none.
     """
 
     q: FloatArray
@@ -34,14 +34,15 @@ class Measured(NamedTuple):
 
 
 class PlcArm(ServoArm):
-    """The arm behind the PLC.
+    """Arm of the mock PLC.
 
     Args:
-        truth: Its true parameters.
+        truth: True parameters of the arm.
         rate_hz: Cycles per second.
-        q: (n,) where it stands [rad].
-        torque: Whether the drives report torques, by the published constants, or currents.
-        mounted: The load that really hangs at the flange; the declared one when None.
+        q: Joint position at the start, (n,) [rad].
+        torque: Whether the drives report torques, converted by the published drive gains, instead
+            of currents.
+        mounted: Payload that is mounted on the flange; None for the declared payload.
     """
 
     def __init__(
@@ -57,7 +58,10 @@ class PlcArm(ServoArm):
         self._gains = self.published.drive_gains if torque else np.ones(len(q))
 
     def advance(self, setpoints: FloatArray) -> Measured:
-        """Follow set-points (N, 3, n), one a cycle; fewer come back when the last has a fault."""
+        """Follow set-points (N, 3, n), one per cycle, and return the measurements.
+
+        Fewer than N measurements are returned if the simulation ends with a fault.
+        """
         samples = self.follow(setpoints)
         q, qd, current, celsius = self.measure(samples)
         return Measured(

@@ -11,17 +11,18 @@ from hil_mock_robot.twincat.ads import CONFIG, RUN, Links, PlcHandler
 from hil_mock_robot.twincat.program import PlcProgram
 
 DRIVE_FAULT = 0x8611
-"""CiA 402's following error, as good as any."""
+"""Default code of a drive fault: the code for a following error in CiA 402."""
 
 
 @dataclass(slots=True)
 class Target:
-    """The parts of the mock that faults act on.
+    """Parts of the mock on which faults act.
 
     Attributes:
-        program, handler, links: Parts of the mock.
-        stopped: How many faults let the PLC's task stand still, while ADS answers.
-        lasting: How many faults of each kind last: the last one to end puts things right.
+        program, handler, links: PLC program, ADS handler and connections of the mock.
+        stopped: Number of active faults that stop the PLC task while ADS still answers.
+        lasting: Map from kind to the number of active faults of this kind; the effect ends with the
+            last of these faults.
     """
 
     program: PlcProgram
@@ -31,13 +32,13 @@ class Target:
     lasting: Counter[str] = field(default_factory=Counter)
 
     def ends(self, kind: str) -> bool:
-        """Count one less of a kind; whether it was the last one."""
+        """Decrement the number of active faults of a kind; return whether none of them is left."""
         self.lasting[kind] -= 1
         return not self.lasting[kind]
 
 
 class PlcFault(Fault[Target], counted=("motion",), example="{kind: silence, at_s: 2.0}"):
-    """A fault of the PLC or of its arm."""
+    """Fault of the PLC, of its arm or of its connections."""
 
     motion: int | None = count(None)
 
@@ -48,7 +49,10 @@ def _code(default: int) -> int:
 
 
 class _Stopping(PlcFault):
-    """The arm comes to rest on its brakes; no client can reset that while the cause lasts."""
+    """Fault that stops the arm and closes its brakes.
+
+    No client can reset the fault while its cause lasts.
+    """
 
     for_s: float = 0.0
 
@@ -60,12 +64,12 @@ class _Stopping(PlcFault):
         mock.program.commands.causes -= 1
 
     def code_and_text(self) -> tuple[int, str]:
-        """Code and text of the fault."""
+        """Return code and text of the fault."""
         raise NotImplementedError
 
 
 class DriveFault(_Stopping, kind="drive_fault", lasts=True):
-    """A drive fails."""
+    """Fault of a drive."""
 
     code: int = _code(DRIVE_FAULT)
 
@@ -74,7 +78,7 @@ class DriveFault(_Stopping, kind="drive_fault", lasts=True):
 
 
 class EmergencyStop(_Stopping, kind="emergency_stop", lasts=True):
-    """The red button; until it is turned out again."""
+    """Emergency stop by its button, until the button is released."""
 
     for_s: float = float("inf")
 
@@ -83,7 +87,7 @@ class EmergencyStop(_Stopping, kind="emergency_stop", lasts=True):
 
 
 class Freeze(PlcFault, kind="freeze", lasts=True):
-    """The PLC's task stands still, while ADS answers."""
+    """Stop of the PLC task, while the ADS server still answers."""
 
     def begin(self, mock: Target) -> None:
         mock.stopped += 1
@@ -93,7 +97,7 @@ class Freeze(PlcFault, kind="freeze", lasts=True):
 
 
 class Silence(PlcFault, kind="silence", lasts=True):
-    """Requests are left unanswered until it is over."""
+    """Missing answers to all requests until the fault ends."""
 
     def begin(self, mock: Target) -> None:
         mock.lasting[self.kind] += 1
@@ -104,7 +108,7 @@ class Silence(PlcFault, kind="silence", lasts=True):
 
 
 class Cut(PlcFault, kind="cut", lasts=True):
-    """All connections are closed, and new ones are refused."""
+    """Disconnection of all clients; new connections are refused."""
 
     for_s: float = 0.0
 
@@ -118,7 +122,7 @@ class Cut(PlcFault, kind="cut", lasts=True):
 
 
 class Config(Freeze, kind="config", lasts=True):
-    """TwinCAT is in config mode: the runtime is not there."""
+    """Change of TwinCAT to config mode, in which the PLC runtime does not answer."""
 
     def begin(self, mock: Target) -> None:
         super().begin(mock)
@@ -132,21 +136,21 @@ class Config(Freeze, kind="config", lasts=True):
 
 
 class Restart(PlcFault, kind="restart"):
-    """The PLC's program begins anew, as after a reset."""
+    """Restart of the PLC program, as after a reset."""
 
     def begin(self, mock: Target) -> None:
         mock.program.restart()
 
 
 class OnlineChange(PlcFault, kind="online_change"):
-    """The program is changed while it runs: every variable lies elsewhere."""
+    """Online change of the PLC program, after which every variable has a different address."""
 
     def begin(self, mock: Target) -> None:
         mock.handler.memory.online_change()
 
 
 class LoseStops(PlcFault, kind="lose_stops", lasts=True):
-    """Writes to `nStop` are acknowledged and lost."""
+    """Loss of writes to `nStop`, which are acknowledged but not executed."""
 
     def begin(self, mock: Target) -> None:
         mock.lasting[self.kind] += 1
@@ -157,7 +161,7 @@ class LoseStops(PlcFault, kind="lose_stops", lasts=True):
 
 
 class Spoil(PlcFault, kind="spoil", lasts=True):
-    """Long writes arrive with one wrong bit."""
+    """Corruption of one bit in every long write."""
 
     def begin(self, mock: Target) -> None:
         mock.lasting[self.kind] += 1
@@ -168,7 +172,7 @@ class Spoil(PlcFault, kind="spoil", lasts=True):
 
 
 class Refuse(PlcFault, kind="refuse"):
-    """The next command is refused with a result."""
+    """Refusal of the next command with a result code."""
 
     code: int = _code(1)
 

@@ -1,8 +1,8 @@
-"""The PLC's memory: variables by name, and the bytes that ADS reads and writes.
+"""Memory of the PLC: variables by name, and the bytes that ADS reads and writes.
 
-`Memory` holds the global variables of the contract between driver and PLC. `declared_in` lays them
-out from the declarations in structured text, just what `contract.st` is written with; `entry_of` is
-what ADS tells of a variable.
+`Memory` contains the global variables of the contract between driver and PLC. `declared_in`
+computes the layout of the variables from declarations in structured text, in the subset of the
+language that `contract.st` uses. `entry_of` is the ADS description of a variable.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ import numpy as np
 from hil.core import PluginError, StructArray
 
 DATA = 0x4040
-"""Index group of a PLC's global data, as TwinCAT has it."""
+"""Index group of a PLC's global data, as in TwinCAT."""
 
 FIRST = 0x100
-"""Offset of the first variable: 0 would hide a mix-up."""
+"""Offset of the first variable; with an offset of 0, mix-ups of addresses would not be noticed."""
 
 PREFIX = "GVL_Hil"
 
 MOVED = 64
-"""So many bytes farther on everything lies after an online change: what is written to where a
-variable was lands in its neighbour."""
+"""Shift of all variables after an online change [bytes]; a write to an old address changes a
+neighbouring variable."""
 
 
 @dataclass(frozen=True, slots=True)
 class Symbol:
-    """A variable as ADS describes it.
+    """Description of one variable of the PLC for ADS.
 
     Attributes:
-        name: Qualified, as it is declared.
-        type: As declared.
-        offset: In the index group of data.
-        size: In bytes.
+        name: Qualified name, as declared.
+        type: Type, as declared.
+        offset: Offset in the index group of data [bytes].
+        size: Size of the variable [bytes].
     """
 
     name: str
@@ -49,15 +49,16 @@ class Symbol:
 
 
 class Memory:
-    """The global variables of the contract.
+    """Global variables of the contract.
 
     Args:
-        without: Variables that this PLC does not have.
-        declarations: Its variables; those of the contract.
+        without: Names of variables that this PLC lacks.
+        declarations: Declarations of the variables; None for the declarations of the contract.
 
     Attributes:
-        symbols: Lower-case qualified name → symbol: TwinCAT's names have no case.
-        version: Of the symbols; another one after an online change.
+        symbols: Map from qualified name in lower case to symbol; names in TwinCAT are
+            case-insensitive.
+        version: Version of the symbols, which an online change increments.
     """
 
     def __init__(
@@ -80,35 +81,35 @@ class Memory:
             self.view(name)[0] = value
 
     def view(self, name: str) -> StructArray:
-        """A variable to be changed in place: structures and numbers have shape (1,)."""
+        """Return a writable view of a variable; a structure or number has shape (1,)."""
         kind, offset = self._types[name], self._offsets[name]
         base, shape = (kind.subdtype[0], kind.subdtype[1]) if kind.subdtype else (kind, (1,))
         return np.frombuffer(self.bytes, base, count=shape[0], offset=offset)
 
     def clear(self, name: str) -> None:
-        """All bytes of a variable become 0."""
+        """Set all bytes of a variable to 0."""
         view = self.view(name)
         view[:] = np.zeros((), view.dtype)
 
     def offset(self, name: str) -> int:
-        """Where in `bytes` a variable is."""
+        """Return the index of a variable in `bytes`."""
         return self._offsets[name]
 
     def online_change(self) -> None:
-        """The program is changed while it runs: every variable lies elsewhere for ADS."""
+        """Simulate an online change: every variable gets a different ADS address."""
         self.version = self.version % 255 + 1
         self._moved += MOVED
         for name, symbol in self.symbols.items():
             self.symbols[name] = replace(symbol, offset=symbol.offset + MOVED)
 
     def at(self, offset: int, size: int) -> int | None:
-        """Where in `bytes` an offset of ADS is; None where so many bytes are no data."""
+        """Return the index in `bytes` of an ADS offset; None if the range is outside the data."""
         start = offset - self._moved
         return start if start >= FIRST and start + size <= len(self.bytes) else None
 
 
 def contract() -> Declarations:
-    """The contract between driver and PLC, as it is declared in structured text."""
+    """Return the contract between driver and PLC, as declared in structured text."""
     text = files("hil_mock_robot.twincat").joinpath("contract.st").read_text("utf-8")
     return declared_in(text)
 
@@ -123,8 +124,8 @@ class Declarations:
     Attributes:
         constants: Name → value.
         types: Structure → dtype.
-        variables: Global variable → type as written and dtype.
-        initial: Global variable → value it begins with, where that is said.
+        variables: Map from global variable to its type as written and its dtype.
+        initial: Map from global variable to its declared initial value.
     """
 
     constants: dict[str, int] = field(default_factory=dict)
@@ -140,10 +141,10 @@ _DECLARED = re.compile(r"(\w+)\s*:\s*([^;]+?)\s*;")
 
 
 def declared_in(text: str) -> Declarations:
-    """Lay out the structures and global variables of a text.
+    """Return the layout of the structures and global variables declared in a text.
 
     Raises:
-        PluginError: It uses something that is not understood here, or needs padding.
+        PluginError: The text uses an unsupported declaration, or a structure needs padding.
     """
     text, found = _COMMENT.sub("", text), Declarations()
     blocks = _VARIABLES.findall(text)
@@ -187,13 +188,13 @@ _MINUS = re.compile(r"(\w+)(?:\s*-\s*(\d+))?")
 def _number(written: str, found: Declarations) -> int:
     match = _MINUS.fullmatch(written.strip())
     if match is None:
-        raise PluginError(f"the PLC's declarations have a bound {written!r}")
+        raise PluginError(f"the PLC's declarations have an invalid bound {written!r}")
     first = int(match[1]) if match[1].isdigit() else found.constants[match[1]]
     return first - int(match[2] or 0)
 
 
 def _without_padding(name: str, packed: np.dtype[Any]) -> np.dtype[Any]:
-    """A structure that every packing lays out alike; else it is a mistake in the declarations."""
+    """Return a structure dtype; raise if its layout depends on the packing of the compiler."""
     fields = [(each, packed[each]) for each in packed.names or ()]
     if np.dtype(fields, align=True).itemsize != packed.itemsize or packed.itemsize % 8:
         raise PluginError(f"structure {name} of the PLC's declarations needs padding")
@@ -201,13 +202,13 @@ def _without_padding(name: str, packed: np.dtype[Any]) -> np.dtype[Any]:
 
 
 BIG_TYPE = 65
-"""ADS data type of what is no elementary type."""
+"""ADS data type of a type that is not elementary."""
 
 ADS_TYPES = {"UDINT": 19, "DINT": 3, "LREAL": 5, "ULINT": 21}
 
 
 def entry_of(symbol: Symbol) -> bytes:
-    """A symbol entry: sizes, place, name, type and an empty comment."""
+    """Return the ADS symbol entry: sizes, address, name, type and an empty comment."""
     name, kind = symbol.name.encode(), symbol.type.encode()
     texts = name + b"\0" + kind + b"\0\0"
     head = struct.calcsize("<IIIIIIHHH")

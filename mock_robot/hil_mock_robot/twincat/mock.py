@@ -1,8 +1,8 @@
-"""The mock PLC: a TwinCAT PLC with the contract of `hil`, over ADS, and a simulated arm behind it.
+"""Mock PLC: a TwinCAT PLC with the ADS contract of `hil` and a simulated arm.
 
-`main` runs it as a process (`hil mock plc`), `loop_of` puts the parts together: memory and program
-of the PLC, the ADS server, faults, side channel and journal. Device time passes with the wall
-clock, or by a factor faster.
+`main` runs the mock as a process (`hil mock plc`). `loop_of` assembles the parts of the mock:
+memory and program of the PLC, ADS server, faults, side channel and journal. Device time follows the
+wall clock, multiplied by a factor.
 """
 
 from __future__ import annotations
@@ -49,21 +49,26 @@ from hil_mock_robot.twincat.program import PlcProgram
 RATE_HZ = 1000.0
 CYCLE_S = 1.0 / RATE_HZ
 AMS_PORT = 851
-"""Of the runtime of a PLC's first program."""
+"""AMS port of the runtime of a PLC's first program."""
 
 WATCHDOG_S = 0.3
-"""Silence of the client after which the arm is stopped, by the wall clock [s]."""
+"""Silence of the client in wall time after which the arm is stopped [s]."""
 
 STOP_RAD_S2 = 8.0
 TEMPERATURES, EFFORT_TARGETS = 1, 2
 """Bits of `nOffers`."""
 
 ROUND_S = 0.004
-"""Wall time between two looks at the clock; cycles pass in blocks of so much [s]."""
+"""Wall time between two readings of the clock; cycles are executed in blocks of this duration
+[s].
+"""
 
 LATEST_S = 0.05
-"""Wall time the mock may be late before that is given up, not caught up; and the most that counts
-as silence of the PC in one round: a mock without processor must not blame its client [s]."""
+"""Delay in wall time [s] above which the missed time is not caught up.
+
+The silence of the PC that is counted in one round of the loop is limited to the same time, so
+that the client is not blamed if the mock gets no processor time.
+"""
 
 STOPPING = ("stop", "watchdog", "fault", "release")
 
@@ -72,49 +77,66 @@ TELL = Tell(
     who="mock PLC answers",
     requests="fault, clear, state, push, mount or speed",
     examples="""\
-tell fault emergency_stop for_s=1     something goes wrong: see docs/how-to/drive-twincat.md
-tell clear                            what lasts is over
-tell state                            where the arm is, what the PLC does, faults
-tell speed 10                         device time passes ten times as fast
+send fault emergency_stop for_s=1     begin a fault: see docs/how-to/drive-twincat.md
+send clear                            end all faults
+send state                            true pose, state of the PLC, faults
+send speed 10                         run device time ten times as fast as wall time
 """,
     places={
-        "--address": (str, "of the mock (default: 127.0.0.1)"),
-        "--side": (str, "of the mock, where it has one of its own"),
+        "--address": (str, "address of the mock (default: 127.0.0.1)"),
+        "--side": (str, "side channel of the mock, if it was started with --side"),
     },
-    elsewhere="is it another --address or --side?",
+    elsewhere="or check --address and --side",
     main_keys={"fault": "kind", "speed": "factor"},
 )
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "", seed: int = 1) -> int:
-    """Run until SIGINT, SIGTERM or SIGHUP; returns the exit code.
+    """Run the mock until SIGINT, SIGTERM or SIGHUP; return the exit code.
 
     Args:
-        arguments: Of the command line, by default this process's.
-        prog: Command by which it was started, for its help.
-        seed: Default individual.
+        arguments: Command-line arguments; None for those of this process.
+        prog: Command that started the mock, for its help.
+        seed: Default seed for the random parameters of the arm.
     """
     given = parser_of(prog, seed).parse_args(arguments)
-    return exit_code_of(lambda: _tell(given) if given.command == "tell" else _run(given))
+    return exit_code_of(lambda: _send(given) if given.command else _run(given))
 
 
 def parser_of(prog: str = "", seed: int = 1) -> Parser:
-    """The command line of `hil mock plc` and `python -m hil_mock_robot plc`."""
+    """Return the parser of `hil mock plc` and `python -m hil_mock_robot plc`."""
     parser = Parser(
         "plc",
         prog,
-        "A PLC that plays trajectories, by ADS on a loopback port, with a simulated arm behind it.",
+        "PLC that plays trajectories, by ADS on a loopback port, with a simulated arm.",
     )
     add = parser.add_argument
-    where = "loopback address; the port is 48898, so a second mock takes another one"
+    where = "loopback address; the port is 48898, so a second mock needs a different address"
     add("--address", default="127.0.0.1", help=where)
     add("--speed", default="1", help="device seconds per second, 0.01 to 1000")
-    add("--effort", default="torque", choices=("torque", "current"), help="what drives tell")
-    add("--serial", default="", help="of the PLC (default: made of model and seed)")
-    add("--contract", type=int, help="version that it says to have (default: the true one)")
-    add("--without", action="append", default=[], metavar="NAME", help="a variable it lacks")
+    add(
+        "--effort",
+        default="torque",
+        choices=("torque", "current"),
+        help="effort that the drives report",
+    )
+    add(
+        "--serial",
+        default="",
+        help="serial number of the PLC (default: derived from model and seed)",
+    )
+    add("--contract", type=int, help="reported version of the contract (default: the true one)")
+    add(
+        "--without",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="variable that the PLC lacks; repeatable",
+    )
     parser.add_arm("lab6", None, seed)
-    side = f"socket of the side channel for tests, `{NO_SIDE}` for none; by the address without"
+    side = (
+        f"socket of the side channel for tests, `{NO_SIDE}` for none; by default from the address"
+    )
     add("--side", default="", metavar="PATH", help=side)
     parser.add_records()
     TELL.add_to(parser)
@@ -125,14 +147,16 @@ def _side_path(given: argparse.Namespace) -> str:
     return given.side or usual_path(f"plc-{given.address}")
 
 
-def _tell(given: argparse.Namespace) -> int:
+def _send(given: argparse.Namespace) -> int:
     return show(TELL.ask(_side_path(given), TELL.request(given.request, given.more)))
 
 
 def _run(given: argparse.Namespace) -> int:
     address, factor = loopback_of(given.address), factor_of(given.speed)
     if factor is None:
-        raise SpecError(f"--speed {given.speed} is for the UR mock", hint="give a number")
+        raise SpecError(
+            f"--speed {given.speed} is for the UR mock", hint="give a number from 0.01 to 1000"
+        )
     where = f"{address}, AMS {address}.1.1:{AMS_PORT}"
     loop = loop_of(given, address, factor)
     return serve(loop, f"{given.model} behind a PLC on {where}, ×{factor:g}")
@@ -142,9 +166,9 @@ def loop_of(given: argparse.Namespace, address: str, factor: float) -> Loop:
     """Return the PLC on its port, with faults, journal and side channel.
 
     Raises:
-        SpecError: The file of faults cannot be used, or the pose is none.
+        SpecError: The file of faults or the starting pose is invalid.
         RobotConnectionError: The journal cannot be written.
-        PluginError: The port is taken.
+        PluginError: The port is in use.
     """
     witness = Witness(journal_of(given.journal, address))
     memory, arm = Memory(given.without), arm_of(given)
@@ -164,7 +188,7 @@ def loop_of(given: argparse.Namespace, address: str, factor: float) -> Loop:
 
 
 def arm_of(given: argparse.Namespace) -> PlcArm:
-    """The arm as the command line describes it."""
+    """Return the arm according to the command line."""
     maker = published(given.model)
     q = pose_of(given.start_q_deg or upright_deg(maker), maker)
     mounted = mounted_of(given.mounted_kg)
@@ -172,7 +196,7 @@ def arm_of(given: argparse.Namespace) -> PlcArm:
 
 
 def fill_info(memory: Memory, arm: PlcArm, given: argparse.Namespace) -> None:
-    """Fill in `stInfo` and the version of the contract."""
+    """Write `stInfo` and the version of the contract into the memory of the PLC."""
     info, maker = memory.view("stInfo")[0], arm.published
     info["fCycleS"], info["fWatchdogS"] = CYCLE_S, WATCHDOG_S
     info["fStopRadS2"], info["fPayloadMax"] = STOP_RAD_S2, maker.payload_max_kg
@@ -191,13 +215,13 @@ def fill_info(memory: Memory, arm: PlcArm, given: argparse.Namespace) -> None:
 
 
 class Loop(loop.Loop):
-    """Serves ADS, lets device time pass, and lets faults happen.
+    """Main loop that serves ADS, advances device time, and applies faults.
 
     Args:
-        program: The PLC's.
+        program: Program of the PLC.
         links: Connections of clients.
-        faults: Of the mock.
-        witness: Writes down what happens.
+        faults: Fault schedule of the mock.
+        witness: Writer of the journal.
         factor: Device seconds per second of wall time.
         side: Socket of the side channel, or `NO_SIDE`.
     """
@@ -218,13 +242,13 @@ class Loop(loop.Loop):
         self.change(factor)
 
     def change(self, factor: float) -> None:
-        """Go on at another speed, in device seconds per second of wall time."""
+        """Change the speed to `factor` device seconds per second of wall time."""
         self._cycles_per_s = factor / CYCLE_S
         self._began = self._last = time.monotonic()
         self._passed = 0.0
 
     def turn(self) -> None:
-        """Serve clients, and let due cycles pass."""
+        """Serve clients, and execute the cycles that are due."""
         self._links.serve(self._last + ROUND_S - time.monotonic())
         now = time.monotonic()
         late = now - self._began - self._passed / self._cycles_per_s
@@ -238,7 +262,7 @@ class Loop(loop.Loop):
         self._pass(due, wall_s)
 
     def leave(self) -> None:
-        """Close all connections."""
+        """Close all connections and the journal."""
         self._links.cut()
         if self._side is not None:
             self._side.close()
@@ -254,11 +278,11 @@ class Loop(loop.Loop):
 
 
 class PlcRequests(Requests):
-    """Requests to the mock by the side channel.
+    """Requests to the mock PLC on its side channel.
 
     Args:
-        loop: Of the mock.
-        faults: Of the mock.
+        loop: Main loop of the mock.
+        faults: Fault schedule of the mock.
     """
 
     def __init__(self, loop: Loop, faults: Faults[Target]) -> None:
@@ -295,18 +319,18 @@ class PlcRequests(Requests):
 
 
 class Witness(journal.Witness):
-    """Writes the journal of the PLC's events."""
+    """Writer of the journal of the PLC's events."""
 
     def __init__(self, journal: Journal) -> None:
         super().__init__(journal)
         self._cycles, self._speed = 0, 0.0
 
     def moment(self) -> Moment:
-        """See `server.journal.Witness`."""
+        """Return the present times and the speed of the arm; see `server.journal.Witness`."""
         return Moment(time.monotonic(), self._cycles * CYCLE_S, self._speed)
 
     def happened(self, event: str, details: dict[str, Any]) -> None:
-        """Note an event of the program."""
+        """Write an event of the PLC program to the journal."""
         if event == "start":
             self._rest.moved()
         self.note(event, **details)
@@ -314,7 +338,11 @@ class Witness(journal.Witness):
             self._rest.stopped(event, self.moment())
 
     def passed(self, speeds: FloatArray) -> None:
-        """Cycles are over; true joint speeds (N, n) [rad/s]."""
+        """Check after a block of cycles whether a stopped arm has come to rest.
+
+        Args:
+            speeds: True joint speeds of the cycles, (N, n) [rad/s].
+        """
         first, self._cycles = self._cycles, self._cycles + len(speeds)
         self._speed = float(np.abs(speeds[-1]).max()) if len(speeds) else 0.0
         if self._rest.waiting:

@@ -1,8 +1,8 @@
-"""The PLC's program: one cycle after the other.
+"""Program of the mock PLC, executed cycle by cycle.
 
-`PlcProgram` plays trajectories, obeys a stop, watches the beat of the PC and fills the ring.
-`Commands` are taken, checked (`refusal_of`) and answered; `Trajectory`, `Ramp` and `Hold` are what
-is commanded to the arm, all in closed form; `RingWriter` writes one row a cycle.
+`PlcProgram` plays trajectories, executes stops, monitors the beat of the PC and fills the ring
+buffer. `Commands` reads, checks (`refusal_of`) and answers commands. `Trajectory`, `Ramp` and
+`Hold` compute the set-points of the arm in closed form. `RingWriter` writes one row per cycle.
 
 | phase         | event                                                  | next phase |
 |---------------|--------------------------------------------------------|------------|
@@ -14,7 +14,7 @@ is commanded to the arm, all in closed form; `RingWriter` writes one row a cycle
 | any but FAULT | a fault of the arm or an injected one                  | FAULT      |
 | FAULT         | TAKE, when its cause is gone and the brakes are closed | HOLDING    |
 
-In NOT_READY the drives are not switched on yet; those of the mock always are.
+In the phase NOT_READY, the drives are not switched on; the mock never enters this phase.
 """
 
 from __future__ import annotations
@@ -60,17 +60,18 @@ Listener = Callable[[str, dict[str, Any]], None]
 
 
 class PlcProgram:
-    """The program of the PLC's task.
+    """Program of the PLC task.
 
     Args:
-        memory: Its variables; the mock fills in `stInfo`.
-        arm: Of this controller.
+        memory: Memory of the PLC; the mock fills in `stInfo`.
+        arm: Arm of this controller.
 
     Attributes:
-        listeners: Called with what happens: journal, faults that wait for a motion.
-        arm: As given.
-        commands: Handles commands of clients.
-        phase: What the arm is doing.
+        listeners: Functions called with events, for the journal and for faults that wait for a
+            motion.
+        arm: Arm of this controller.
+        commands: Handler of the commands of clients.
+        phase: Present phase of the program.
     """
 
     def __init__(self, memory: Memory, arm: PlcArm) -> None:
@@ -83,7 +84,7 @@ class PlcProgram:
         self.restart()
 
     def restart(self) -> None:
-        """Restart, as after a reset: no client has the arm, the ring is empty."""
+        """Restart as after a reset: no client controls the arm, and the ring is empty."""
         self.phase, self._segment = Phase.HOLDING, -1
         self._silent_s, self._count = 0.0, int(self._beat["nCount"])
         self._ring = RingWriter(self._memory)
@@ -95,14 +96,14 @@ class PlcProgram:
 
     @property
     def device_time(self) -> float:
-        """Time of the next row [s]."""
+        """Device time of the next row [s]."""
         return float(self._info["fCycleS"]) * self._ring.head
 
     def cycles(self, count: int) -> FloatArray:
-        """Let cycles pass; commands are read before the first.
+        """Execute `count` cycles; commands are read before the first cycle.
 
         Returns:
-            (N, n) true joint speeds [rad/s].
+            True joint speeds at the ends of the executed cycles, (N, n) [rad/s].
         """
         self._look_for_stop()
         self.commands.look()
@@ -118,7 +119,7 @@ class PlcProgram:
         return np.concatenate(speeds)
 
     def watch(self, passed_s: float) -> None:
-        """Look for the beat of who has the arm; wall time has passed [s]."""
+        """Check the beat of the controlling client after `passed_s` of wall time [s]."""
         state, beat = self._state, self._beat
         alive = beat["nSession"] == state["nSession"] and beat["nCount"] != self._count
         self._silent_s = 0.0 if alive else self._silent_s + passed_s
@@ -129,15 +130,15 @@ class PlcProgram:
             self.halt()
 
     def heard(self) -> None:
-        """Restart the watchdog, because a client has taken the arm."""
+        """Restart the watchdog, because a client has taken control of the arm."""
         self._silent_s = 0.0
 
     def begin(self, segment: int, path: FloatArray | None) -> None:
-        """Rows carry another segment from now on.
+        """Begin a segment; from now on, the rows contain its number.
 
         Args:
-            segment: Its number.
-            path: (N, 3, n) to be played, one a cycle; None to go on holding.
+            segment: Number of the segment.
+            path: Set-points to play, (N, 3, n), one per cycle; None to keep the present position.
         """
         self._segment = segment
         if path is not None:
@@ -145,14 +146,14 @@ class PlcProgram:
         self.tell("start", {"by": "hold" if path is None else "start", "segment": segment})
 
     def halt(self) -> None:
-        """Come to rest, and play nothing that was loaded."""
+        """Bring the arm to rest, and discard the loaded set-points."""
         self.commands.forget()
         if self.phase == Phase.PLAYING:
             self._ramp()
             self.phase = Phase.STOPPING
 
     def fail(self, code: int, text: str) -> None:
-        """A fault: ramp to rest, then the brakes."""
+        """Enter the phase FAULT: ramp to rest, then close the brakes."""
         if self.phase == Phase.FAULT:
             return
         self._state["nFault"], self._state["sFault"] = code, text.encode()[:79]
@@ -162,14 +163,14 @@ class PlcProgram:
         self.phase = Phase.FAULT
 
     def hold_where_it_stands(self) -> None:
-        """A fault is over: the set-point becomes where the joints are."""
+        """Leave the phase FAULT: release the brakes with the present position as set-point."""
         self.arm.release()
         self._hold()
         self.phase = Phase.HOLDING
         self._state["nFault"], self._state["sFault"] = 0, b""
 
     def tell(self, event: str, details: dict[str, Any]) -> None:
-        """Pass an event to the listeners."""
+        """Send an event to all listeners."""
         for listener in self.listeners:
             listener(event, details)
 
@@ -189,7 +190,7 @@ class PlcProgram:
         return measured.true_qd
 
     def _come_to_rest(self) -> None:
-        """End the present command."""
+        """End the present course and keep the position."""
         if self.phase == Phase.FAULT:
             self.arm.brake()
         else:
@@ -208,18 +209,18 @@ class PlcProgram:
 
 
 class Commands:
-    """Looks for a new command in every cycle.
+    """Handler of commands, which looks for a new command before each block of cycles.
 
     Args:
-        memory: Of the PLC.
-        arm: Of this controller.
-        program: Does it.
+        memory: Memory of the PLC.
+        arm: Arm that the PLC controls.
+        program: Program that executes the commands.
 
     Attributes:
-        refuse: A result to refuse the next command with; 0 to look at it.
-        causes: Number of present causes of a fault: no client can take the arm then.
-        loaded: (N,) set-points that passed LOAD: the PLC's own copy. What is written to
-            `aSetPoints` after they were checked is never played.
+        refuse: Result with which the next command is refused; 0 to process it normally.
+        causes: Number of present causes of a fault; while it is not 0, no client can take the arm.
+        loaded: Copy of the set-points that passed LOAD, (N,). A later write to `aSetPoints` is
+            therefore never played without a check.
     """
 
     def __init__(self, memory: Memory, arm: PlcArm, program: PlcProgram) -> None:
@@ -231,18 +232,18 @@ class Commands:
         self.restart()
 
     def restart(self) -> None:
-        """Restart: an earlier command is not carried out."""
+        """Reset after a restart: an earlier command is not executed."""
         self.loaded: np.ndarray[Any, Any] = self._set_points[:0]
         self._memory.clear("stAnswer")
         self._done = int(self._command["nCounter"])
         self._tell_load()
 
     def forget(self) -> None:
-        """Nothing is loaded any more."""
+        """Discard the loaded set-points."""
         self.loaded = self._set_points[:0]
 
     def look(self) -> None:
-        """Carry out a new command, once, and answer."""
+        """Execute a new command once, and answer it."""
         command, answer = self._command, self._answer
         counter = int(command["nCounter"])
         if counter == self._done or counter != command["nCounterEnd"]:
@@ -251,7 +252,7 @@ class Commands:
         self.refuse = 0
         if not result:
             result, where = self._do(command)
-        answer["nCounterEnd"] = counter  # first; the counter in front last
+        answer["nCounterEnd"] = counter  # written first; `nCounter` is written last
         answer["nResult"], answer["nWhere"] = result, where
         answer["nSession"], answer["nCommand"] = command["nSession"], command["nCommand"]
         self._tell_load()
@@ -260,7 +261,7 @@ class Commands:
         self._program.tell("command", {"by": named, "result": int(result)})
 
     def _do(self, command: np.void) -> tuple[int, int]:
-        """Result, and the axis that it is about."""
+        """Execute a command; return the result, and the axis that caused a refusal."""
         number, holder = int(command["nCommand"]), int(self._state["nSession"])
         if number == Command.TAKE:
             return self._take(int(command["nSession"])), -1
@@ -343,13 +344,14 @@ START_RAD = 1e-3
 REST_RAD_S = 0.01
 
 STEP_SHARE = 1.05
-"""Of the way that the highest velocity makes in a cycle: farther apart set-points are a jump."""
+"""Maximum step between consecutive set-points, relative to the step at maximum velocity; a
+larger step is a jump."""
 
 SLACK_RAD, SLACK_SHARE = 1e-6, 1.001
 
 
 class Result(IntEnum):
-    """`nResult` of an answer."""
+    """Values of `nResult` in an answer."""
 
     DONE = 0
     UNKNOWN = 1
@@ -372,7 +374,7 @@ class Result(IntEnum):
 
 
 def sums_of(rows: StructArray) -> tuple[int, int]:
-    """Both sums of a block, word by word as the PLC adds them up: modulo 2³²."""
+    """Return both checksums of a block, computed word by word modulo 2³² as in the PLC."""
     a = np.cumsum(rows.view(np.uint32), dtype=np.uint32)
     return int(a[-1]), int(np.sum(a, dtype=np.uint32))
 
@@ -380,12 +382,12 @@ def sums_of(rows: StructArray) -> tuple[int, int]:
 def refusal_of(
     rows: StructArray, info: np.void, standing: FloatArray, cycle_s: float
 ) -> tuple[Result, int]:
-    """Why set-points are not played, and the axis that it is about.
+    """Return the result of checking set-points, and the axis that fails the check (-1 for none).
 
     Args:
-        rows: (N,) set-points.
-        info: `stInfo`, with the limits.
-        standing: (n,) the commanded position now [rad].
+        rows: Set-points, (N,).
+        info: Structure `stInfo` with the limits.
+        standing: Present commanded position, (n,) [rad].
         cycle_s: Time between two set-points [s].
     """
     q, qd, qdd = rows["aQ"], rows["aQd"], rows["aQdd"]
@@ -407,35 +409,35 @@ def refusal_of(
 
 
 class Course(Protocol):
-    """Set-points of the cycles to come."""
+    """Set-points of the coming cycles."""
 
     def next(self, count: int) -> FloatArray:
-        """(N, 3, n) of the next cycles, N ≤ count; fewer when it ends."""
+        """Return the set-points (N, 3, n) of the next cycles, N ≤ count; fewer at the end."""
 
 
 class Trajectory:
-    """Rows of the array, one per cycle.
+    """Course that plays loaded set-points, one per cycle.
 
     Args:
-        rows: (N, 3, n) positions [rad], velocities and accelerations.
+        rows: Positions [rad], velocities [rad/s] and accelerations [rad/s²], (N, 3, n).
     """
 
     def __init__(self, rows: FloatArray) -> None:
         self._rows, self._at = rows, 0
 
     def next(self, count: int) -> FloatArray:
-        """See `Course`."""
+        """Return the next set-points; see `Course`."""
         rows = self._rows[self._at : self._at + count]
         self._at += len(rows)
         return rows
 
 
 class Ramp:
-    """A course on which all joints come to rest together, the fastest with a given deceleration.
+    """Course that brings all joints to rest together, the fastest with a given deceleration.
 
     Args:
-        setpoint: (3, n) from where.
-        deceleration: Of the fastest joint [rad/s²].
+        setpoint: Set-point at the start of the ramp, (3, n).
+        deceleration: Deceleration of the fastest joint [rad/s²].
         cycle_s: Time between two set-points [s].
     """
 
@@ -446,7 +448,7 @@ class Ramp:
         self._cycles = int(np.ceil(self._takes_s / cycle_s - 1e-9))
 
     def next(self, count: int) -> FloatArray:
-        """See `Course`; the last set-point rests."""
+        """Return the next set-points; the last set-point has zero velocity. See `Course`."""
         last = min(self._done + count, self._cycles)
         t = np.arange(self._done + 1, last + 1)[:, None] * self._cycle_s
         self._done = last
@@ -458,10 +460,10 @@ class Ramp:
 
 
 class Hold:
-    """One position for ever.
+    """Course that keeps one position forever.
 
     Args:
-        q: (n,) [rad].
+        q: Position, (n,) [rad].
     """
 
     def __init__(self, q: FloatArray) -> None:
@@ -469,18 +471,18 @@ class Hold:
         self._row[0] = q
 
     def next(self, count: int) -> FloatArray:
-        """See `Course`."""
+        """Return the constant set-point for `count` cycles; see `Course`."""
         return np.repeat(self._row[None], count, axis=0)
 
 
 class RingWriter:
-    """Writes the rows of the ring.
+    """Writer of the rows of the ring buffer.
 
     Args:
-        memory: Of the PLC.
+        memory: Memory of the PLC.
 
     Attributes:
-        head: Rows written since the program started.
+        head: Number of rows written since the program started.
     """
 
     def __init__(self, memory: Memory) -> None:
@@ -489,13 +491,13 @@ class RingWriter:
         self.head = 0
 
     def write(self, setpoints: FloatArray, measured: Measured, segment: int, phase: Phase) -> None:
-        """The rows of N cycles.
+        """Write the rows of N cycles.
 
         Args:
-            setpoints: (N, 3, n) commanded.
-            measured: Of the same cycles.
-            segment: Of all of them.
-            phase: The same.
+            setpoints: Commanded set-points, (N, 3, n).
+            measured: Measurements of the same cycles.
+            segment: Segment number of all rows.
+            phase: Phase of all rows.
         """
         count = len(measured.q)
         number = np.arange(self.head, self.head + count, dtype=np.uint64)
@@ -510,9 +512,12 @@ class RingWriter:
         self.head += count
 
     def _put(self, rows: np.ndarray[Any, Any], number: np.ndarray[Any, Any]) -> None:
-        """The end's number first, the beginning's last.
+        """Write the rows.
 
-        Whoever reads from the front and finds both alike has read nothing that was being written.
+        The sequence number at the end of a row is written first, that at its start last.
+
+        A reader that reads a row from the front and gets two equal sequence numbers has read a
+        complete row.
         """
         at = number % np.uint64(len(self._ring))
         self._ring["nSequenceEnd"][at] = rows["nSequenceEnd"] = number

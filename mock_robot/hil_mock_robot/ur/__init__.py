@@ -1,1 +1,1 @@
-"""A UR controller on loopback sockets: what UR clients see of a robot, with the mock's physics."""
+"""Mock UR controller on loopback sockets: the client interfaces and a simulated arm."""

@@ -1,7 +1,7 @@
-"""The arm under the mock UR controller: a set-point in, one `Reading` per tick out.
+"""Arm under the mock UR controller, which follows a set-point and returns a `Reading` per tick.
 
-`Body` is a `ServoArm` with what a UR controller does to it: it starts on its brakes, may be deaf to
-a declared load, and its model of the arm is asked for torques.
+`Body` extends `ServoArm` for a UR controller: it starts with closed brakes, can ignore a declared
+payload, and computes torques with the controller's model of the arm.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from hil_mock_robot.plant.truth import Truth
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """Reports of the joints at the end of a tick; arrays are (6,).
+    """Values that the joints report at the end of a tick; all arrays have shape (6,).
 
     Attributes:
         q, qd: Measured position [rad] and velocity [rad/s].
         current: Measured motor current [A].
-        temperature: [°C].
-        current_target: Current by the servo's model [A].
-        moment_target: Torque of the set-point by the controller's model, without friction [N·m].
-        true_q, true_qd: Without noise, for tests and the journal.
-        fault: 0, or a code of `plant.records.FAULTS`.
+        temperature: Joint temperature [°C].
+        current_target: Motor current from the servo's model [A].
+        moment_target: Set-point torque from the controller's model, without friction [N·m].
+        true_q, true_qd: Position and velocity without noise, for tests and the journal.
+        fault: Fault code of `plant.records.FAULTS`; 0 for none.
     """
 
     q: FloatArray
@@ -43,17 +43,17 @@ class Reading:
 
 
 class Body(ServoArm):
-    """The arm of a UR controller, powered or standing on its brakes.
+    """Arm of a UR controller, under power or held by its brakes.
 
     Args:
-        truth: Its true parameters.
+        truth: True parameters of the arm.
         rate_hz: Ticks per second.
-        q: (6,) where it stands when it is switched on [rad].
-        mounted: The load that really hangs at the flange; the declared one when None.
+        q: Joint position when the arm is switched on, (6,) [rad].
+        mounted: Payload that is really mounted on the flange; None for the declared payload.
 
     Attributes:
-        arm: Its published description, with the joint limits of the safety settings.
-        deaf: Whether the controller keeps its load, whatever is declared.
+        arm: Published description of the arm, with the joint limits of the safety settings.
+        deaf: Whether the controller ignores payload declarations and retains its payload.
     """
 
     def __init__(
@@ -66,18 +66,21 @@ class Body(ServoArm):
 
     @property
     def gravity(self) -> tuple[float, float, float]:
-        """In the base frame [m/s²]."""
+        """Gravity vector in the base frame [m/s²]."""
         return self.simulation.setting.gravity
 
     @property
     def pushed(self) -> FloatArray:
-        """(6,) the external joint torque that acts [N·m]."""
+        """External joint torque that acts at present, (6,) [N·m]."""
         return self.simulation.disturbances.push
 
     def step(self, setpoint: FloatArray) -> Reading:
-        """Follow a set-point (3, 6) for one tick; closed brakes ignore it."""
+        """Follow a set-point (3, 6) for one tick.
+
+        An arm with closed brakes ignores the set-point.
+        """
         samples = self.follow(setpoint[None])
-        if not len(samples):  # the simulation has run away: it ends here, on the brakes
+        if not len(samples):  # the simulation has diverged: close the brakes
             self.braked = True
             nan = np.full(self.arm.n_joints, np.nan)
             return Reading(nan, nan, nan, nan, nan, nan, nan, nan, samples.fault)
@@ -90,12 +93,12 @@ class Body(ServoArm):
         )  # fmt: skip
 
     def declare(self, payload: Payload) -> None:
-        """See `ServoArm`; a deaf controller keeps the load that it has."""
+        """Declare a payload; the declaration is ignored if `deaf` is set."""
         if not self.deaf:
             super().declare(payload)
 
     def forget(self) -> None:
-        """Compute with no load any more; the load at the flange stays there."""
+        """Reset the declared payload to no payload; the mounted payload does not change."""
         hanging, self.declared = self.mounted, Payload()
         self.simulation.set_payloads(hanging, self.declared)
 
@@ -104,9 +107,9 @@ class Body(ServoArm):
         self.simulation.joints.states["celsius"][joint] = celsius
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:
-        """Return (6, 6) of the controller's model at `q` (6,) [kg·m²]."""
+        """Return the mass matrix (6, 6) of the controller's model at `q` (6,) [kg·m²]."""
         return self.simulation.nominal.mass_matrix(q)
 
     def torque_for(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Return (6,) torque of a motion by the controller's model, without friction [N·m]."""
+        """Return the torque (6,) of a motion in the controller's model, without friction [N·m]."""
         return self.simulation.nominal.inverse(q, qd, qdd)

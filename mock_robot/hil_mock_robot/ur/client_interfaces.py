@@ -1,18 +1,20 @@
-"""The client interfaces: primary (port 30001), secondary (30002) and real-time (30003).
+"""Client interfaces of the mock controller: primary (30001), secondary (30002), real-time (30003).
 
-Primary and secondary clients are sent the robot state at 10 Hz (`state_packet`, a packet of
-sub-packages), primary ones also messages (`messages_of`); a text reaches to the end of its message.
-Real-time clients are sent one packet of doubles per tick (`RealtimePacket`). All numbers are
-big-endian. What a client of any of them sends is script text: `ScriptInbox` cuts it into programs,
-which are played, and obeys lines that are no URScript (`CONTROL_LINES`). No page of the maker lists
-all of these; they are the ones that clients send (UR's client library, python-urx and its
-predecessors).
+Primary and secondary clients receive the robot state at 10 Hz (`state_packet`, a packet of
+sub-packages); primary clients also receive messages (`messages_of`). A text in a message extends to
+the end of the message. Real-time clients receive one packet of doubles per tick (`RealtimePacket`).
+All numbers in the packets are big-endian. Data from clients of all three ports are script text:
+`ScriptInbox` splits the text into programs, which are played, and executes lines that are not
+URScript (`CONTROL_LINES`). The manufacturer does not document all control lines; `CONTROL_LINES`
+contains the lines that known clients send (UR's client library, python-urx and its predecessors).
 
-Source: Universal Robots, "Primary and Secondary Interfaces", robot state message of 3.15 and 5.10,
-messages to clients; sizes as in a state packet of software 5.8 (1386 bytes, tests of UR's client
-library). CB3: a UR10 of 3.5.3 sends 1350 (python-urx issue 65), which is this without what is the
-tool's in 11 and 12, and without the last byte of the master board, which that library reads on
-both series. Universal Robots, "Realtime Client Interface", tables up to 5.10.
+The source of the message formats is Universal Robots, "Primary and Secondary Interfaces", robot
+state message of 3.15 and 5.10, messages to clients. A state packet of the e-Series has 1386 bytes,
+like that of software 5.8 in the tests of UR's client library. A CB3 controller (UR10, 3.5.3) sends
+1350 bytes (python-urx issue 65): the tool data in sub-packages 11 and 12 and the last byte of the
+master board are missing in that packet. UR's client library reads the last byte of the master board
+on both series. Source of the real-time interface: Universal Robots, "Realtime Client Interface",
+tables up to 5.10.
 """
 
 from __future__ import annotations
@@ -39,25 +41,27 @@ PRIMARY, SECONDARY = 30001, 30002
 RATE_HZ = 10
 
 MOST_PENDING = 200_000
-"""Bytes that wait for a client that does not read; messages are dropped whole beyond that."""
+"""Maximum number of bytes that wait for a client that does not read; further messages to this
+client are dropped as a whole."""
 
 OWN_CODES = 10
-"""Below that, a code is one of `plant.records.FAULTS`; from there on it is UR's own C…."""
+"""Smallest error code of UR (C…); smaller codes are those of `plant.records.FAULTS`."""
 
 ERROR_CODES = {1: 153, 2: 157, RUNAWAY: 153, PROTECTIVE_STOP: 158}
-"""Fault → C153: position deviates from path, C157: a joint collides, C158: the arm does."""
+"""Map from fault of the plant to error code of UR: C153 (position deviates from path), C157 (a
+joint collides), C158 (the arm collides)."""
 
 
 class PrimaryService:
-    """Port 30001 sends state and messages, port 30002 only the state.
+    """Service of port 30001 (state and messages) or port 30002 (state only).
 
     Args:
-        machine: The controller.
-        port: 30001 or 30002.
+        machine: Simulated controller.
+        port: TCP port: 30001 or 30002.
 
     Attributes:
-        port: TCP port.
-        sessions: Clients that are connected.
+        port: TCP port of the service.
+        sessions: Sessions of the connected clients.
     """
 
     def __init__(self, machine: Machine, port: int = PRIMARY) -> None:
@@ -68,7 +72,10 @@ class PrimaryService:
             machine.listeners.append(self._heard)
 
     def accept(self, link: Link) -> PrimarySession:
-        """Send the version to a client; states follow."""
+        """Send the version message to a new client.
+
+        The session of this client then sends the states.
+        """
         if not self.sessions:
             self._safety = self.machine.modes.safety
         session = PrimarySession(self, link)
@@ -93,11 +100,11 @@ class PrimaryService:
 
 
 class PrimarySession:
-    """The conversation with one client.
+    """Session of one primary or secondary client.
 
     Args:
-        service: Of this session.
-        link: The connection.
+        service: Service to which this session belongs.
+        link: Connection to the client.
     """
 
     lossless = False
@@ -110,7 +117,7 @@ class PrimarySession:
         self._publish()
 
     def received(self, data: bytes) -> None:
-        """See `Session`: a piece of a program."""
+        """Add received bytes to the script text of the client; see `Session`."""
         self._inbox.feed(data)
 
     def ticked(self) -> None:
@@ -123,12 +130,12 @@ class PrimarySession:
         self._service.sessions.remove(self)
 
     def tell(self, message: bytes) -> None:
-        """Send a message, unless the client reads nothing."""
+        """Send a message unless too many bytes wait for the client."""
         if not self._link.closed and self._link.pending < MOST_PENDING:
             self._link.send(message)
 
     def _publish(self) -> None:
-        """Send the state when one is due and the last one is out."""
+        """Send the state if a packet is due and the previous packet has been sent completely."""
         machine = self._service.machine
         due = machine.ticks * RATE_HZ // round(machine.series.rate_hz)
         if due != self._sent and not self._link.pending:
@@ -157,7 +164,10 @@ def messages_of(event: Event, now_s: float) -> list[bytes]:
 
 
 def _error_messages(event: Event, now_s: float) -> list[bytes]:
-    """A runtime exception; where the controller has a word for it, a line for the log explains."""
+    """Return the messages about a runtime error: exception, log line and error code.
+
+    The log line is added if the exception message contains only a token of the program.
+    """
     place = event.place
     messages = [exception_message(place.token or event.text, now_s, place.line, place.column)]
     if place.token:
@@ -171,12 +181,15 @@ ROBOT_MESSAGE = 20
 CONTROLLER_NAME = b"URControl"
 
 UNTIMED = 0xFFFFFFFFFFFFFFFF
-"""Time of what is told on connecting: clients that look for a packet by its first bytes, such as
-python-urx, take a real time for one now and then."""
+"""Time value in the messages that are sent to a new client.
+
+Clients that identify a packet by its first bytes, such as python-urx, sometimes mistake a
+real time for a packet.
+"""
 
 
 class Source(IntEnum):
-    """Who a message is from."""
+    """Source of a message."""
 
     ROBOT_INTERFACE = -2
     RT_MACHINE = -3
@@ -186,7 +199,7 @@ class Source(IntEnum):
 
 
 class Level(IntEnum):
-    """How bad an error code is."""
+    """Severity of an error code."""
 
     INFO = 1
     WARNING = 2
@@ -197,28 +210,29 @@ class Level(IntEnum):
 def message(
     kind: int, body: bytes, now_s: float | None, source: Source = Source.ROBOT_INTERFACE
 ) -> bytes:
-    """A robot message: size, type, time [µs], source, kind of message, body."""
+    """Return a robot message: size, type, time [µs], source, kind of message, body."""
     time_us = UNTIMED if now_s is None else round(now_s * 1e6)
     head = struct.pack(">BQbb", ROBOT_MESSAGE, time_us, source, kind)
     return struct.pack(">i", 4 + len(head) + len(body)) + head + body
 
 
 def text_message(text: str, now_s: float) -> bytes:
-    """A line for the log (kind 0)."""
+    """Return a log message (kind 0)."""
     return message(0, text.encode(), now_s, Source.RT_MACHINE)
 
 
 def popup_message(title: str, text: str, now_s: float) -> bytes:
-    """Return a popup without an answer (kind 2)."""
+    """Return a popup message that needs no answer (kind 2)."""
     name = title.encode()[:255]
     body = struct.pack(">II???B", 0, 0, False, False, False, len(name))
     return message(2, body + name + text.encode(), now_s, Source.RT_MACHINE)
 
 
 def greeting(series: Series) -> bytes:
-    """Return the first messages to a client: the version (kind 3), and UR's own (12).
+    """Return the first two messages to a client: version (kind 3) and an undocumented kind 12.
 
-    As controllers and URSim of 3.10, 5.12 and 5.13 do: no time, no build number.
+    The two messages contain no time and no build number, like those of controllers and of URSim
+    3.10, 5.12 and 5.13.
     """
     return _version(series) + message(12, struct.pack(">iiB", 0, 0, 1), None)
 
@@ -235,25 +249,25 @@ def _version(series: Series) -> bytes:
 
 
 def safety_mode_message(mode: int, now_s: float) -> bytes:
-    """The safety mode has changed (kind 5)."""
+    """Return the message about a change of the safety mode (kind 5)."""
     return message(5, struct.pack(">iiBII", 0, 0, mode, 0, 0), now_s, Source.SAFETY)
 
 
 def error_message(code: int, level: Level, text: str, now_s: float) -> bytes:
-    """An error code C… (kind 6)."""
+    """Return the message about an error code C… (kind 6)."""
     body = struct.pack(">iiiII", code, 0, level, 0, 0)
     return message(6, body + text.encode(), now_s, Source.CONTROLLER)
 
 
 def key_message(title: str, text: str, now_s: float) -> bytes:
-    """Something a client may wait for (kind 7)."""
+    """Return a key message, for example about the start of a program (kind 7)."""
     name = title.encode()[:255]
     body = struct.pack(">iiB", 0, 0, len(name))
     return message(7, body + name + text.encode(), now_s)
 
 
 def exception_message(text: str, now_s: float, line: int = 1, column: int = 1) -> bytes:
-    """The program has failed (kind 10)."""
+    """Return the message about a program that has failed (kind 10)."""
     body = struct.pack(">II", line, column) + text.encode()
     return message(10, body, now_s, Source.RT_MACHINE)
 
@@ -267,7 +281,7 @@ TOOL_BAUD = 115_200
 
 
 def state_packet(machine: Machine) -> bytes:
-    """Everything that is published at 10 Hz."""
+    """Return the robot state that is published at 10 Hz."""
     parts = b"".join(
         struct.pack(">IB", 5 + len(body), kind) + body for kind, body in _parts(machine)
     )
@@ -275,7 +289,7 @@ def state_packet(machine: Machine) -> bytes:
 
 
 def _parts(machine: Machine) -> Iterator[tuple[int, bytes]]:
-    """Type and content of the sub-packages, in the order of the real ones."""
+    """Yield type and content of the sub-packages, in the order of a real controller."""
     yield 0, _robot_mode(machine)
     yield 1, _joints(machine)
     yield 4, _cartesian(machine)
@@ -383,7 +397,9 @@ def _force_mode(machine: Machine) -> bytes:
 UNCALIBRATED = 0xFFFFFFFF
 
 MOTION_DEFAULTS = (1.0472, 1.3963, 0.25, 1.2, 0.25)
-"""Joint speed [rad/s], joint acceleration, tool speed [m/s], tool acceleration, radius [m]."""
+"""Default joint speed [rad/s], joint acceleration, tool speed [m/s], tool acceleration, blend
+radius [m].
+"""
 
 ROBOT_TYPES = {"ur5": 1, "ur10": 2, "ur3": 3}
 BOARD_E, BOX_E, SUBTYPE_E = 6, 4, 3
@@ -392,14 +408,14 @@ BOARD_CB3, BOX_CB3, SUBTYPE_CB3 = 5, 2, 1
 
 @cache
 def kinematics(arm: ArmDescription) -> bytes:
-    """Return sub-package 5: DH parameters of the controller, here the published ones."""
+    """Return sub-package 5 with the DH parameters; the mock sends the published parameters."""
     a, alpha, d, theta = arm.dh.T.tolist()
     return struct.pack(">6I24dI", *(UNCALIBRATED,) * 6, *theta, *a, *d, *alpha, 0)
 
 
 @cache
 def configuration(arm: ArmDescription, series: Series) -> bytes:
-    """Return sub-package 6: limits, defaults, DH parameters, kind of hardware."""
+    """Return sub-package 6: joint limits, motion defaults, DH parameters and hardware type."""
     a, alpha, d, theta = arm.dh.T.tolist()
     ranges = [each for pair in zip(arm.q_min, arm.q_max, strict=True) for each in pair]
     motion = [each for pair in zip(arm.qd_max, arm.qdd_max, strict=True) for each in pair]
@@ -428,7 +444,7 @@ REALTIME_FIELDS: tuple[tuple[str, int], ...] = (
     ("target_TCP_speed", 6),
     ("actual_digital_input_bits", 1),
     ("joint_temperatures", 6),
-    ("", 2),  # run time of the controller's thread; a test value
+    ("", 2),  # run time of the controller's thread, and a test value
     ("robot_mode", 1),
     ("joint_mode", 6),
     ("safety_mode", 1),
@@ -445,7 +461,7 @@ REALTIME_FIELDS: tuple[tuple[str, int], ...] = (
     ("actual_digital_output_bits", 1),
     ("runtime_state", 1),
 )
-"""RTDE's name for each field, and how many doubles it is; `""`: zeros."""
+"""RTDE name of each field and its number of doubles; `""` for zeros."""
 
 ELBOW_FIELDS = (("elbow_position", 3), ("elbow_velocity", 3))
 SAFETY_FIELDS = (("safety_status", 1),)
@@ -453,7 +469,10 @@ PAYLOAD_FIELDS = (("", 3), ("payload", 1), ("payload_cog", 3), ("payload_inertia
 
 
 def realtime_fields_of(series: Series) -> tuple[tuple[str, int], ...]:
-    """Fields of a packet, which have grown from version to version."""
+    """Return the fields of a real-time packet.
+
+    The number of fields depends on the software version.
+    """
     fields = REALTIME_FIELDS
     for more, cb3, e in (
         (ELBOW_FIELDS, (3, 5), (5, 0)),
@@ -467,25 +486,26 @@ def realtime_fields_of(series: Series) -> tuple[tuple[str, int], ...]:
 
 @dataclass(frozen=True, slots=True)
 class RealtimePacket:
-    """How a packet is made of RTDE's outputs.
+    """Layout of a real-time packet that is filled from RTDE outputs.
 
     Attributes:
-        places: Where each double lies in `Values.flat`, -1 for a zero.
-        layout: Size and doubles, big-endian.
+        places: Index in `Values.flat` of each double of the packet; -1 for a double that is always
+            zero.
+        layout: Binary layout of the packet: size, then the doubles, big-endian.
     """
 
     places: tuple[int, ...]
     layout: struct.Struct
 
     def pack(self, outputs: Values) -> bytes:
-        """The packet of this tick."""
+        """Return the packet with the present values of the outputs."""
         flat = outputs.flat
         doubles = [flat[i] if i >= 0 else 0.0 for i in self.places]
         return self.layout.pack(self.layout.size, *doubles)
 
 
 def realtime_packet_of(series: Series, outputs: Values) -> RealtimePacket:
-    """The packet of a controller's software."""
+    """Return the layout of the real-time packet for a controller's software."""
     places: list[int] = []
     for name, count in realtime_fields_of(series):
         known = outputs.variables.get(name)
@@ -494,13 +514,13 @@ def realtime_packet_of(series: Series, outputs: Values) -> RealtimePacket:
 
 
 class RealtimeService:
-    """The real-time interface, port 30003.
+    """Service of the real-time interface, port 30003.
 
     Args:
-        machine: The controller.
+        machine: Simulated controller.
 
     Attributes:
-        port: TCP port.
+        port: TCP port of the service.
     """
 
     port = 30003
@@ -510,20 +530,20 @@ class RealtimeService:
         self._packet = realtime_packet_of(machine.series, machine.outputs)
 
     def accept(self, link: Link) -> RealtimeSession:
-        """Packets follow from the next tick on."""
+        """Return the session of a new client, which sends packets from the next tick on."""
         return RealtimeSession(self._machine, self._packet, link)
 
 
 class RealtimeSession:
-    """One client; it may only send programs and never read.
+    """Session of one real-time client, which possibly only sends programs and never reads.
 
     Args:
-        machine: The controller.
-        packet: Of the real-time interface.
-        link: The connection.
+        machine: Simulated controller.
+        packet: Layout of the real-time packet.
+        link: Connection to the client.
 
     Attributes:
-        dropped: Packets that it did not take in time.
+        dropped: Number of packets dropped because the client was too slow.
     """
 
     lossless = False
@@ -534,11 +554,11 @@ class RealtimeSession:
         self.dropped = 0
 
     def received(self, data: bytes) -> None:
-        """See `Session`: a piece of a program."""
+        """Add received bytes to the script text of the client; see `Session`."""
         self._inbox.feed(data)
 
     def ticked(self) -> None:
-        """See `Session`: what is left of the last packet comes first, whole packets are dropped."""
+        """Send the packet of this tick, or drop it if the previous packet is still being sent."""
         if self._link.pending:
             self.dropped += 1
         else:
@@ -549,26 +569,26 @@ class RealtimeSession:
 
 
 LARGEST_TEXT = 1_000_000
-"""Longest program [bytes]."""
+"""Maximum length of a program [bytes]."""
 
 MOST_LINES = 20_000
-"""Of one program: they are all read between two ticks."""
+"""Maximum number of lines of one program; all lines are parsed between two ticks."""
 
 _BEGINS = re.compile(r"(def|sec)\b")
 _SECONDARY = re.compile(r"\s*sec\b")
 
 
 class ScriptInbox:
-    """Script text that one client sends to port 30001, 30002 or 30003.
+    """Splitter of the script text that one client sends to port 30001, 30002 or 30003.
 
-    A program is over with the `end` of its `def`, or with an `end` at the very left where what is
-    inside is indented. A statement outside any `def` is a program of its own. Whatever arrives
-    stops the program that plays, except secondary programs (`sec`), which run beside it, and the
-    `CONTROL_LINES`, which are no program. In local control nothing arrives, as on
-    e-Series.
+    A program ends with the `end` of its `def`, or, if its body is indented, with an unindented
+    `end`. A statement outside any `def` is a separate program. A received program stops the playing
+    program. The playing program continues during secondary programs (`sec`) and after
+    `CONTROL_LINES` that do not affect this program. In local control, an e-Series controller
+    ignores all received text.
 
     Args:
-        machine: Which plays the programs.
+        machine: Controller that plays the programs.
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -579,7 +599,7 @@ class ScriptInbox:
         self._indented = self._deaf = False
 
     def feed(self, data: bytes) -> None:
-        """Some bytes came, cut anywhere; after too long a program none of them count any more."""
+        """Process received bytes; after a program that is too long, ignore all further bytes."""
         if self._deaf:
             return
         self._rest += data
@@ -645,11 +665,11 @@ SET_SPEED = "set speed "
 
 
 def _nothing(machine: Machine) -> None:
-    """Accept a line without effect: it is for simulated arms, or for hand guiding."""
+    """Accept a control line without effect; the line concerns simulated arms or hand guiding."""
 
 
 def _run(machine: Machine) -> None:
-    """Switch on and release the brakes; an arm that runs already goes on."""
+    """Switch the arm on and release its brakes; a running arm is not affected."""
     machine.modes.release_brakes()
 
 
@@ -669,11 +689,11 @@ CONTROL_LINES: Mapping[str, Callable[[Machine], object]] = {
 
 
 def obey_line(line: str, machine: Machine) -> bool:
-    """Carry out a line; return False if it is none of these commands, thus a program.
+    """Execute a control line; return False if the line is not a control line but a program.
 
     Args:
-        line: Without comment and space around it.
-        machine: The controller.
+        line: Line without comment and surrounding whitespace.
+        machine: Simulated controller.
     """
     words = " ".join(line.split())
     if words.startswith(SET_SPEED):

@@ -1,8 +1,8 @@
-"""Connections of clients to the mock controller, and the services that they talk to.
+"""Connections of clients to the mock controller, and interfaces of its services.
 
-A `Service` listens on one port; it accepts a `Link` to each client and returns the `Session` that
-answers it. `TcpLink` is a link over a socket; that of RTDE is wrapped once more, so that faults may
-act on it (`rtde_wire.LineEnd`).
+A `Service` listens on one port. For each client, the service accepts a `Link` and returns the
+`Session` that answers the client. `TcpLink` is a link over a socket. The link of an RTDE client is
+wrapped in a further link that injects faults (`rtde_wire.LineEnd`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hil.core import PluginError
 
 
 class Link(Protocol):
-    """The controller's end of one connection; never blocks.
+    """Controller side of one connection; its methods never block.
 
     Attributes:
         peer: Address of the client.
@@ -29,24 +29,24 @@ class Link(Protocol):
 
     @property
     def pending(self) -> int:
-        """Bytes that wait for the client to read."""
+        """Number of bytes that wait for the client to read."""
 
     def send(self, data: bytes) -> None:
-        """Send; data that the client does not take yet are kept."""
+        """Send data; data that the client does not accept yet are buffered."""
 
     def close(self) -> None:
         """Send the data that can be sent at once, then close the connection."""
 
 
 class Session(Protocol):
-    """The conversation with one client."""
+    """Communication with one client."""
 
     @property
     def lossless(self) -> bool:
-        """Whether accelerated time waits until this client has taken all data."""
+        """Whether accelerated time waits until this client has received all data."""
 
     def received(self, data: bytes) -> None:
-        """Handle bytes from the client; a message may arrive in pieces."""
+        """Handle received bytes; a message can arrive in several pieces."""
 
     def ticked(self) -> None:
         """Send the data that are due after a tick of the controller."""
@@ -56,32 +56,34 @@ class Session(Protocol):
 
 
 class Service(Protocol):
-    """The service on one port.
+    """Service of the mock controller on one TCP port.
 
     Attributes:
-        port: TCP port, as UR clients expect it.
+        port: TCP port that UR clients expect.
     """
 
     port: int
 
     def accept(self, link: Link) -> Session:
-        """Begin the conversation with a client that has connected."""
+        """Begin the session of a client that has connected."""
 
 
 MOST_PENDING = 4_000_000
-"""Bytes that wait for a client that does not read; the connection is closed beyond that."""
+"""Maximum number of bytes that wait for a client that does not read; beyond it the connection
+is closed.
+"""
 
 
 class TcpLink:
-    """A non-blocking socket with a buffer; implements `Link`.
+    """Non-blocking socket with a send buffer; implements `Link`.
 
     Args:
-        connection: The socket.
+        connection: Socket of the connection.
         peer: Address of the client.
-        port: On which it came in.
+        port: TCP port of the service.
 
     Attributes:
-        blocked: Whether nothing gets through; data are kept meanwhile.
+        blocked: Whether sending is blocked, so that all data are buffered.
     """
 
     def __init__(self, connection: socket.socket, peer: str, port: int = 0) -> None:
@@ -100,7 +102,7 @@ class TcpLink:
 
     @property
     def deaf_s(self) -> float:
-        """Wall time since the client last took waiting data [s]; 0 if none wait."""
+        """Wall time since the client last accepted waiting data [s]; 0 if no data wait."""
         return time.monotonic() - self._read_at if self._waiting else 0.0
 
     def send(self, data: bytes) -> None:
@@ -115,7 +117,7 @@ class TcpLink:
             self.close()
 
     def flush(self) -> None:
-        """Send waiting data, as far as the client takes them."""
+        """Send as much of the waiting data as the client accepts."""
         if not self._waiting or self.closed or self.blocked:
             return
         try:
@@ -136,14 +138,14 @@ class TcpLink:
 
 
 RTDE_PORT = 30004
-"""Port of RTDE, on which every mock listens."""
+"""TCP port of RTDE, on which every mock UR controller listens."""
 
 
 def listen(address: str, port: int) -> socket.socket:
-    """Open a port.
+    """Return a socket that listens on a port of an address.
 
     Raises:
-        PluginError: It is taken.
+        PluginError: The port is in use.
     """
     try:
         listening = _bound(address, port)

@@ -1,13 +1,13 @@
-"""The control script that `ur-rtde` uploads, emulated: commands in registers, tick by tick.
+"""Emulation of the control script that `ur-rtde` uploads: commands in registers, tick by tick.
 
 The client writes a command number and its arguments into input registers and waits for READY and
-DONE in an output register (docs/reference/mock-ur-control.md). Source: behaviour of the script
-that ur-rtde 1.6.5 uploads, for each version of the controller's software.
+DONE in an output register (docs/reference/mock-ur-control.md). Source: behaviour of the script that
+ur-rtde 1.6.5 uploads, for each version of the controller's software.
 
-Tables at the end of each section map command numbers to what they do: moves, streams (a thread goes
-on until its stop command), queries about kinematics and dynamics, settings, contacts. Where the
-script for this software lacks a query, nothing is written: the client then reads what the
-registers held before, as on a real controller.
+Tables at the end of each section map command numbers to handlers: moves, streams (a thread that
+continues until its stop command), queries about kinematics and dynamics, settings, and contacts. If
+the script for the simulated software lacks a query, the mock writes no register. After a query that
+the script lacks, the client reads the previous register contents, as on a real controller.
 """
 
 from __future__ import annotations
@@ -55,27 +55,29 @@ READY, DONE = 1, 2
 NO_COMMAND, STOP_SCRIPT = 0, 255
 
 CONTINUOUS = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, *range(66, 72)})
-"""Commands that are carried out anew in every tick, as long as they stand in the register."""
+"""Commands that are executed again in every tick while they are in the command register."""
 
 
 class ControlScript(Threaded):
-    """The program that plays while `RTDEControlInterface` is connected.
+    """Program that plays while `RTDEControlInterface` is connected.
 
     Args:
-        offset: Number of its first register, 0 or 24.
-        path: What MOVE_PATH follows: each move with what it tells before it begins.
+        offset: Number of the first register: 0 or 24.
+        path: Moves of MOVE_PATH, each with the progress values that are reported before the move.
 
     Attributes:
-        registers: Known from `begin` on.
-        path: See above.
-        operation: How far the asynchronous operation is.
-        touch: What the tool touches, and where the joints were.
-        internal: A command the script gives itself.
-        stop_linear: Whether stopJ and stopL stop along a line in tool space: the script remembers.
-        servo: What the servo thread aims at: joints (6,), time, lookahead, gain.
-        speed, jog: What those threads keep: whether of the TCP, speed (6,), acceleration.
-        contact: Ticks since the contact that its thread has seen.
-        waypoint: (6,) TCP pose the present move leads to, None before the first.
+        registers: Registers shared with the client; set by `main`.
+        path: Moves of MOVE_PATH with their progress values.
+        operation: State of the asynchronous operation.
+        touch: Contact detector with the history of the joint positions.
+        internal: Command that the script issues to itself.
+        stop_linear: Whether stopJ and stopL stop along a line in tool space; the script stores this
+            setting between commands.
+        servo: Target of the servo thread: joints (6,), time, lookahead, gain.
+        speed, jog: Commands of the speed thread and of the jog thread: whether the TCP moves in a
+            line, speed (6,), acceleration.
+        contact: Number of ticks since the contact that the contact thread has detected.
+        waypoint: Target TCP pose of the present move, (6,); None before the first move.
     """
 
     registers: Registers
@@ -94,12 +96,12 @@ class ControlScript(Threaded):
         self.contact = 0
 
     def tick(self, machine: Machine) -> bool:
-        """See `Program`."""
+        """Execute one tick of the script; see `Program`."""
         self.touch.look(machine)
         return super().tick(machine)
 
     def main(self) -> Steps:
-        """Carry out the commands in the command register, until the one to stop."""
+        """Execute the commands in the command register until `STOP_SCRIPT`."""
         self.registers = Registers(self.machine, self._offset)
         self.operation = Operation(self.registers)
         executed = False
@@ -121,7 +123,7 @@ class ControlScript(Threaded):
             yield
 
     def has(self, cb3: tuple[int, int] | None, e: tuple[int, int] | None) -> bool:
-        """Return whether the script for this controller has a feature of these versions."""
+        """Return whether the script has a feature, given the first software versions with it."""
         return self.machine.series.at_least(cb3, e)
 
     def _command(self) -> int:
@@ -141,7 +143,7 @@ class ControlScript(Threaded):
 
 
 def stop_move(script: ControlScript) -> None:
-    """End the asynchronous move, if there is one; the caller has to stop the arm."""
+    """End the asynchronous move, if any; the caller must stop the arm."""
     if script.runs(MOVE):
         script.kill(MOVE)
         script.operation.finish()
@@ -161,11 +163,11 @@ def _move(
 
 
 MOVE, STOP = "move", "stop"
-"""Threads."""
+"""Names of threads."""
 
 
 def _now_or_later(script: ControlScript, move: Callable[[], Steps]) -> Steps:
-    """Move, and be done when that is over, or leave it to a thread and be done at once."""
+    """Execute a move until its end, or start it in a thread if the command is asynchronous."""
     stop_move(script)
     if script.registers.integer(1) == 1:
         script.run(MOVE, _operation(script, move))
@@ -180,7 +182,7 @@ def _operation(script: ControlScript, what: Callable[[], Steps]) -> Steps:
 
 
 def _movej_ik(script: ControlScript) -> Steps:
-    """Move to a pose; the posture is chosen now, also for a move that begins later."""
+    """Move to a pose; the joint angles are computed now, even if the move begins later."""
     q = joints_of(script.machine, script.registers.doubles(0))
     return _move(script, "j", q, is_pose=False)
 
@@ -194,7 +196,7 @@ def _movel_fk(script: ControlScript) -> Steps:
 
 
 def _stop(script: ControlScript) -> Steps:
-    """Stop, for stopJ and stopL alike: the kind of stop is that of the present move."""
+    """Execute stopJ or stopL; the kind of stop depends on the present move."""
     deceleration = script.registers.double(0)
     if script.runs(STOP):
         script.kill(STOP)
@@ -331,11 +333,12 @@ def _mass_matrix(script: ControlScript) -> None:
 
 
 UPPER_COLUMNS = 36
-"""Number of the register where columns 4 and 5 of a matrix begin; the others begin at 0."""
+"""Number of the first register for columns 4 and 5 of a matrix; columns 0 to 3 begin at register
+0."""
 
 
 def _put_matrix(script: ControlScript, matrix: FloatArray) -> None:
-    """Column by column, (6, 6)."""
+    """Write a matrix (6, 6) into the registers, column by column."""
     columns = np.asarray(matrix).T.ravel()
     script.registers.put_doubles(0, columns[:24])
     script.registers.put_doubles(UPPER_COLUMNS, columns[24:])
@@ -399,11 +402,11 @@ QUERIES: dict[int, Callable[[ControlScript], Steps | None]] = {
 
 
 def _nothing(script: ControlScript) -> None:
-    """Accepted without effect: the mock has no such sensor, or no such setting."""
+    """Accept a command without effect, because the mock lacks the sensor or the setting."""
 
 
 def _set_payload(script: ControlScript) -> None:
-    """A centre of all zeros means the present one, on e-Series only."""
+    """Declare a payload; on e-Series, a centre of mass of zeros keeps the present value."""
     mass, *com = script.registers.doubles(0, 4).tolist()
     keep = script.has(None, (5, 0)) and not any(com)
     set_payload(script.machine, mass, None if keep else com)
@@ -425,7 +428,7 @@ PROTECTIVE_STOP_BY_PROGRAM = 0
 
 
 def _protective_stop(script: ControlScript) -> Steps:
-    """Stop; the program pauses before it reports completion, so the client sees the stop first."""
+    """Trigger a protective stop and pause, so the client detects the stop before completion."""
     if script.has((3, 8), (5, 0)):
         script.machine.protective_stop(PROTECTIVE_STOP_BY_PROGRAM)
         yield
@@ -455,7 +458,7 @@ def _freedrive_status(script: ControlScript) -> None:
 
 
 def _set_target_payload(script: ControlScript) -> None:
-    """Nothing, and done, before 5.10 and on CB3."""
+    """Declare a payload with inertia; the command has no effect before 5.10 and on CB3."""
     if script.has(None, (5, 10)):
         mass, *rest = script.registers.doubles(0, 10).tolist()
         com = rest[:3] if any(rest[:3]) else None
@@ -483,7 +486,7 @@ SETTINGS: dict[int, Callable[[ControlScript], Steps | None]] = {
 
 
 def _force_mode(script: ControlScript) -> None:
-    """Accepted; nothing yields (docs/reference/mock-ur-control.md)."""
+    """Accept a force-mode command; the arm is not compliant (docs/reference/mock-ur-control.md)."""
     script.registers.doubles(0, 18)
 
 
@@ -499,11 +502,11 @@ def _speedj(script: ControlScript) -> None:
 
 
 SERVO, SPEED, JOG = "servo", "speed", "jog"
-"""Threads."""
+"""Names of threads."""
 
 
 def _speed(script: ControlScript, *, linear: bool) -> None:
-    """The time, register 7, does not end the motion: the script repeats it for ever."""
+    """Set a speed that continues until it is changed; the script ignores the time in register 7."""
     script.speed = (linear, script.registers.doubles(0), abs(script.registers.double(6)))
     if not script.runs(SPEED):
         script.run(SPEED, _keep_speed(script, lambda: script.speed))
@@ -534,7 +537,7 @@ def _servoj(script: ControlScript) -> None:
 
 
 def _servo_to(script: ControlScript, q: FloatArray) -> None:
-    """Speed and acceleration, registers 6 and 7, are not used: as in the script."""
+    """Set the servo target; like the script, ignore registers 6 and 7 (speed, acceleration)."""
     script.servo = (q, *script.registers.doubles(8, 3).tolist())
     if not script.runs(SERVO):
         script.run(SERVO, _servo(script))
@@ -575,11 +578,11 @@ def _jog_start(script: ControlScript) -> None:
 
 
 TOOL, CUSTOM = 1, 2
-"""Features to jog along; anything else is the base."""
+"""Numbers of the frames for jogging; any other number selects the base frame."""
 
 
 def _in_base(script: ControlScript, feature: int) -> FloatArray:
-    """Return a speed (6,) in the axes of the base, for one in the axes of a feature."""
+    """Return a speed (6,) in the axes of the base, from a speed in the axes of a jogging frame."""
     machine, speed = script.machine, script.registers.doubles(0)
     if feature not in (TOOL, CUSTOM):
         return speed
@@ -621,7 +624,9 @@ def _history(script: ControlScript) -> None:
 def _past(script: ControlScript, ticks: int) -> FloatArray:
     q = script.touch.past(ticks)
     if q is None:
-        raise CommandRefused(f"get_actual_joint_positions_history: no {ticks} steps are remembered")
+        raise CommandRefused(
+            f"get_actual_joint_positions_history: fewer than {ticks} steps are stored"
+        )
     return q
 
 
@@ -648,7 +653,9 @@ def _until_contact(
 
 
 STOP_M_S2, BACK_M_S, BACK_M_S2 = 3.0, 0.25, 1.2
-"""How it stops at a contact, and URScript's own speed of the way back."""
+"""Deceleration at a contact, and speed and acceleration of URScript's return move [m/s², m/s,
+m/s²].
+"""
 
 
 def _back_to_contact(script: ControlScript, ticks: int) -> Steps:
@@ -658,7 +665,7 @@ def _back_to_contact(script: ControlScript, ticks: int) -> Steps:
 
 
 CONTACT = "contact"
-"""Thread."""
+"""Name of a thread."""
 
 
 def _start_detection(script: ControlScript) -> None:
@@ -670,7 +677,10 @@ CONTACT_SEEN = 254
 
 
 def _detect(script: ControlScript, direction: FloatArray) -> Steps:
-    """Wait until nothing is touched, then until something is; CB3 sees a contact at once."""
+    """Wait until no contact exists, then until a contact occurs.
+
+    On CB3, the script reports a contact immediately.
+    """
     script.contact = 0
     if not script.has(*SINCE):
         script.contact, script.internal = 1, CONTACT_SEEN
@@ -683,7 +693,7 @@ def _detect(script: ControlScript, direction: FloatArray) -> Steps:
 
 
 def _way(script: ControlScript, direction: FloatArray) -> FloatArray:
-    """A sum of zero means: wherever the TCP moves, as in the script."""
+    """Return the direction for contact detection; a sum of zero selects the TCP velocity."""
     if direction.sum() >= 1e-10:
         return direction
     machine = script.machine

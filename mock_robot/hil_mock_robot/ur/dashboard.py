@@ -1,11 +1,13 @@
-"""The dashboard server (port 29999): one line in, one line out; and the pendant behind it.
+"""Dashboard server of the mock controller (port 29999), and the teach pendant behind it.
 
-`COMMANDS` is the table of its commands and replies. `Pendant` holds what a teach pendant would: a
-loaded program, a popup, a log. `PRESSES` are buttons of the pendant for the side channel: unlike
-the dashboard they work in local control, and there is one for the emergency stop itself.
+The dashboard server answers each line with one line. `COMMANDS` is the table of dashboard commands
+and replies. `Pendant` contains the state of a teach pendant: a loaded program, popups and a log.
+`PRESSES` contains the pendant buttons that the side channel can press. In contrast to dashboard
+commands, buttons work in local control, and one button releases the emergency stop.
 
-Source: Universal Robots, "Dashboard Server" for CB3 and e-Series: texts, first versions, which
-commands want remote control; replies about logs and reports as UR's client library wants them.
+The source is Universal Robots, "Dashboard Server" for CB3 and e-Series: texts, first software
+versions, and commands that need remote control. Replies about logs and reports match the
+expectations of UR's client library.
 """
 
 from __future__ import annotations
@@ -32,23 +34,23 @@ REFUSED = (
 )
 
 LONGEST_LINE = 4096
-"""Longest line [bytes]; longer ones are dropped."""
+"""Maximum length of a line [bytes]; longer lines are dropped."""
 
 MOST_PENDING = 64_000
-"""Bytes of unread replies, beyond which the client is disconnected."""
+"""Number of bytes of unread replies beyond which the client is disconnected."""
 
 
 class DashboardService:
-    """The dashboard server: commands of the teach pendant.
+    """Dashboard server: commands of the teach pendant.
 
     Args:
-        machine: The controller.
-        programs: File name → what makes that program, for files that do more than idle; those of
-            `disk.py` when None.
+        machine: Simulated controller.
+        programs: Map from file name to the constructor of the program, for files with an action;
+            None for the programs of `disk_of`.
 
     Attributes:
-        port: TCP port.
-        pendant: What the answers are about.
+        port: TCP port of the service.
+        pendant: State of the teach pendant.
     """
 
     port = 29999
@@ -60,7 +62,7 @@ class DashboardService:
         machine.listeners.append(self._heard)
 
     def accept(self, link: Link) -> DashboardSession:
-        """Greet a client."""
+        """Return the session of a new client, which sends the greeting."""
         return DashboardSession(self.pendant, link)
 
     def _heard(self, event: Event) -> None:
@@ -69,11 +71,11 @@ class DashboardService:
 
 
 class DashboardSession:
-    """One client's lines.
+    """Session of one dashboard client.
 
     Args:
-        pendant: What the answers are about.
-        link: The connection.
+        pendant: State of the teach pendant.
+        link: Connection to the client.
     """
 
     lossless = False
@@ -85,7 +87,7 @@ class DashboardSession:
         self._say(GREETING)
 
     def received(self, data: bytes) -> None:
-        """See `Session`: every complete line gets its reply, in order."""
+        """Answer every complete line, in order; see `Session`."""
         self._waiting += data
         while not self._link.closed and (end := self._waiting.find(b"\n")) >= 0:
             line = bytes(self._waiting[:end])
@@ -100,7 +102,7 @@ class DashboardSession:
             self._skipping = True
 
     def ticked(self) -> None:
-        """See `Session`: nothing is due."""
+        """Do nothing, because no data are due after a tick; see `Session`."""
 
     def hung_up(self) -> None:
         """See `Session`."""
@@ -150,16 +152,17 @@ FOLDER = "/programs/"
 
 @dataclass(slots=True)
 class Pendant:
-    """The state behind the dashboard, the same for every client.
+    """State of the teach pendant, common to all clients of the dashboard server.
 
     Attributes:
-        machine: The controller.
-        programs: File → what makes that program; other files are an `IdleProgram`.
-        loaded: File of the loaded program, `""` for none.
-        role: Of the user (CB3).
-        operational: Mode that the dashboard has set last, `NONE` before.
-        reports: Number of the last report.
-        log: The last lines added to it.
+        machine: Simulated controller.
+        programs: Map from file name to the constructor of the program; other files are an
+            `IdleProgram`.
+        loaded: Path of the loaded program; `""` for none.
+        role: User role that a client has set (CB3).
+        operational: Operational mode last set by the dashboard; `NONE` before the first setting.
+        reports: Number of flight reports requested so far, which is also the id of the last report.
+        log: Last lines that clients have added to the log.
     """
 
     machine: Machine
@@ -177,7 +180,7 @@ class Pendant:
 
     @property
     def state(self) -> str:
-        """`STOPPED`, `PLAYING` or `PAUSED`."""
+        """Program state: `STOPPED`, `PLAYING` or `PAUSED`."""
         return STATES.get(self.machine.runtime, "STOPPED")
 
     @property
@@ -186,14 +189,14 @@ class Pendant:
         return self.loaded.rpartition("/")[2] or UNNAMED
 
     def load(self, file: str) -> bool:
-        """Take a program from the disk; False when there is none of that name."""
+        """Load a program from the disk; return False if there is no program with this name."""
         if not file.endswith(".urp") or file == ".urp":
             return False
         self.loaded = file if file.startswith("/") else FOLDER + file
         return True
 
     def play(self) -> bool:
-        """Start the loaded program or resume the paused one; return False if nothing plays then."""
+        """Start the loaded program or resume a paused program; return whether a program plays."""
         machine = self.machine
         if self.state == "PAUSED":
             machine.resume()
@@ -204,7 +207,7 @@ class Pendant:
         return self.running
 
     def forget(self) -> None:
-        """The controller has booted: nothing is loaded or shown."""
+        """Reset the pendant after the controller has restarted: no program is loaded."""
         self.loaded = ""
         self.operational = "NONE"
 
@@ -215,13 +218,15 @@ class Pendant:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command of the dashboard.
+    """Command of the dashboard server.
 
     Attributes:
-        text: What a line begins with.
-        reply: Carries it out and returns the reply; called with the rest of the line.
-        cb3, e: Software it came with; None when that series has none.
-        remote: Whether an e-Series controller wants remote control for it.
+        text: Text with which a line of this command begins.
+        reply: Function that executes the command and returns the reply; called with the rest of the
+            line.
+        cb3, e: First software version with this command, for CB3 and for e-Series; None if the
+            series lacks the command.
+        remote: Whether an e-Series controller requires remote control for the command.
     """
 
     text: str
@@ -299,7 +304,7 @@ def _add_to_log(pendant: Pendant, text: str) -> str:
 
 
 def save_log(_pendant: Pendant, _: str) -> str:
-    """Answer that the log is saved; nothing is written."""
+    """Return the reply that the log is saved; no file is written."""
     return "Log saved to disk"
 
 
@@ -307,7 +312,7 @@ REPORTS = ("CONTROLLER", "SOFTWARE", "SYSTEM")
 
 
 def flight_report(pendant: Pendant, kind: str) -> str:
-    """Counts up the number of the report; there is none."""
+    """Increment the report number and return the reply; no report is generated."""
     if kind.upper() not in REPORTS:
         return f"Failed to execute: generate flight report {kind}".rstrip()
     pendant.reports += 1
@@ -315,7 +320,7 @@ def flight_report(pendant: Pendant, kind: str) -> str:
 
 
 def support_file(pendant: Pendant, folder: str) -> str:
-    """Names the file that a controller would write."""
+    """Return the reply with the name of the file that a real controller would write."""
     if not folder:
         return "Failed to execute: generate support file"
     pendant.reports += 1
@@ -324,7 +329,10 @@ def support_file(pendant: Pendant, folder: str) -> str:
 
 
 def _clock(pendant: Pendant) -> str:
-    """The controller's own, from the date of its software on: two runs name the same file."""
+    """Return the date and time of the controller.
+
+    The clock starts at the date of the software, so that two runs produce equal file names.
+    """
     began = calendar.timegm(time.strptime(pendant.machine.series.date, "%b %d %Y"))
     return time.strftime("%Y-%m-%d_%H-%M-%S", time.gmtime(began + pendant.machine.now_s))
 
@@ -357,7 +365,7 @@ ROLES = ("PROGRAMMER", "OPERATOR", "NONE", "LOCKED", "RESTRICTED")
 
 
 def set_role(pendant: Pendant, role: str) -> str:
-    """Of the user."""
+    """Set the role of the user."""
     if role.upper() not in ROLES:
         return f"Failed setting user role: {role}"
     pendant.role = role.upper()
@@ -365,7 +373,7 @@ def set_role(pendant: Pendant, role: str) -> str:
 
 
 def set_operational(pendant: Pendant, mode: str) -> str:
-    """Take control of the operational mode."""
+    """Set the operational mode; the dashboard then controls it."""
     if mode.upper() not in ("MANUAL", "AUTOMATIC"):
         return f"could not understand: set operational mode {mode}"
     pendant.operational = mode.upper()
@@ -373,7 +381,7 @@ def set_operational(pendant: Pendant, mode: str) -> str:
 
 
 def clear_operational(pendant: Pendant, _: str) -> str:
-    """Give control of the operational mode back; the mode stays as it is."""
+    """Release control of the operational mode; the mode itself does not change."""
     now = pendant.operational
     return f"No longer controlling the operational mode. Current operational mode: '{now}'."
 
@@ -420,13 +428,14 @@ COMMANDS = (
     Command("get operational mode", lambda p, _: p.operational, None, (5, 6)),
     Command("clear operational mode", clear_operational, None),
 )
-"""Every command but `quit`, which belongs to the connection."""
+"""All commands except `quit`, which the session handles."""
 
 
 def command_of(line: str, series: Series) -> tuple[Command, str] | None:
-    """Return the command of a line and its argument; None if this software has none.
+    """Return the command of a line and its argument; None if this software has no such command.
 
-    The longest text wins (`load installation` before `load`); case does not matter.
+    If several commands match the line, the command with the longest text is returned (`load
+    installation` before `load`); case is ignored.
     """
     for command in COMMANDS:
         head, rest = line[: len(command.text)], line[len(command.text) :]
@@ -437,10 +446,10 @@ def command_of(line: str, series: Series) -> tuple[Command, str] | None:
 
 
 class IdleProgram:
-    """Stands for a program made on the pendant: it plays until it is stopped, and moves nothing.
+    """Placeholder for a program created on the pendant: it plays until stopped and does not move.
 
     Args:
-        name: Its file, without the extension.
+        name: File name without the extension.
     """
 
     def __init__(self, name: str) -> None:
@@ -450,7 +459,7 @@ class IdleProgram:
         """See `Program`."""
 
     def tick(self, machine: Machine) -> bool:
-        """See `Program`; it never ends by itself."""
+        """Return True, because the program never ends by itself; see `Program`."""
         return True
 
     def end(self, machine: Machine) -> None:
@@ -498,23 +507,26 @@ PRESSES: Mapping[str, Callable[[Machine], bool]] = {
     "remote": _control(True),
     "local": _control(False),
 }
-"""What can be pressed; each says whether it did anything."""
+"""Map from button to the function that presses the button and returns whether the button had an
+effect."""
 
 
 def pressed(machine: Machine, request: Mapping[str, Any]) -> dict[str, Any]:
-    """Press a button; return the controller's state right after.
+    """Press a button; return the robot mode and safety mode directly afterwards.
 
     Raises:
-        SpecError: There is no such button.
-        CommandRefused: It does nothing as things are.
+        SpecError: The button does not exist.
+        CommandRefused: The button has no effect in the present state.
     """
     what = request.get("press")
     if not isinstance(what, str) or what not in PRESSES:
-        raise SpecError(f"pendant: press is {what!r}", hint=f"use one of {', '.join(PRESSES)}")
+        raise SpecError(
+            f"pendant: unknown button {what!r}", hint=f"use one of {', '.join(PRESSES)}"
+        )
     if not PRESSES[what](machine):
         robot, safety = machine.modes.robot.name, machine.modes.safety.name
         raise CommandRefused(
-            f"pendant: {what} does nothing now: robot mode {robot}, safety mode {safety}, "
+            f"pendant: {what} has no effect now: robot mode {robot}, safety mode {safety}, "
             f"program {machine.runtime.name}",
             hint=_way_out(machine),
         )
@@ -525,14 +537,14 @@ def pressed(machine: Machine, request: Mapping[str, Any]) -> dict[str, Any]:
 def _way_out(machine: Machine) -> str:
     safety = machine.modes.safety
     if safety is SafetyMode.PROTECTIVE_STOP:
-        return f"unlock it {UNLOCK_AFTER_S:g} s of device time after it has stopped"
+        return f"press unlock {UNLOCK_AFTER_S:g} s of device time after the stop"
     if safety in (SafetyMode.ROBOT_EMERGENCY_STOP, SafetyMode.SYSTEM_EMERGENCY_STOP):
-        return "press release_emergency_stop, then brake_release, which switches the arm on, too"
+        return "press release_emergency_stop, then brake_release, which also switches the arm on"
     if safety is SafetyMode.SAFEGUARD_STOP:
-        return 'end it first: {"do": "clear"}'
+        return 'end the safeguard stop first: {"do": "clear"}'
     if safety in (SafetyMode.FAULT, SafetyMode.VIOLATION):
         return "press restart_safety and, 2 s of device time later, brake_release"
-    return "an arm that is off or idle needs brake_release, one that boots a second"
+    return "press brake_release if the arm is off or idle; wait a second if it boots"
 
 
 CONTROL_LOOP = """
@@ -560,14 +572,15 @@ def rtde_control_loop():
   end
 end
 """
-"""The robot's side of `example_control_loop.py`, which comes with UR's own RTDE client.
+"""Robot program for `example_control_loop.py`, which is part of UR's own RTDE client.
 
-Output integer 0 asks for a pose with 1 and says with 0 that it was reached; input integer 0 says
-with 1 that a pose is in the input doubles 0 to 5, and is the watchdog. Moves at 0.08 m/s.
-Source of this dialogue: RTDE_Python_Client_Library, `examples/rtde_control_loop.urp`.
+The program sets output integer 0 to 1 to request a pose, and to 0 when the pose is reached.
+The client sets input integer 0 to 1 when a pose is in the input doubles 0 to 5; writing input
+integer 0 also resets the watchdog. The moves of the program have a speed of 0.08 m/s. Source
+of this protocol: RTDE_Python_Client_Library, `examples/rtde_control_loop.urp`.
 """
 
 
 def disk_of(machine: Machine) -> Mapping[str, Callable[[], Program]]:
-    """Return file → constructor of its program, for this machine."""
+    """Return the map from file name to constructor of the program, for a machine."""
     return {"rtde_control_loop.urp": lambda: program_of(CONTROL_LOOP, machine)}

@@ -12,19 +12,20 @@ from hil_mock_robot.ur.rtde import Ownership
 
 DASHBOARD = 29999
 OWNERS = "inputs"
-"""Of the connections, those whose client has inputs of RTDE."""
+"""Value of `only` that selects the connections whose clients own RTDE inputs."""
 
 
 @dataclass(slots=True, eq=False)
 class Target:
-    """The parts of the mock that faults act on; `Loop` applies the attributes to the ports.
+    """Parts of the mock on which faults act; `Loop` applies the attributes to the ports.
 
     Attributes:
-        machine: The controller.
-        owners: Of RTDE's inputs.
-        unplugged: Nothing gets through on any port, in either direction.
-        mute: Ports whose clients are neither heard nor answered.
-        dark: Whether the controller is rebooting: ports are closed, and no time passes for it.
+        machine: Simulated controller.
+        owners: Owners of the RTDE inputs.
+        unplugged: Whether no data pass on any port, in either direction.
+        mute: Ports whose clients are neither read nor answered.
+        dark: Whether the controller is rebooting, so that its ports are closed and its time stands
+            still.
     """
 
     machine: Machine
@@ -35,24 +36,24 @@ class Target:
 
 
 class UrFault(Fault[Target], counted=("motion", "program"), example="{kind: silence, at_s: 2.0}"):
-    """A fault of the controller, its arm or its interfaces."""
+    """Fault of the controller, its arm or its interfaces."""
 
     motion: int | None = count(None)
     program: int | None = count(None)
 
 
-# What happens to connections and RTDE packages
+# Faults of connections and RTDE packages
 
 
 class Cut(UrFault, kind="cut", lasts=True):
-    """RTDE connections are hung up on, as soon as they are made while it lasts.
+    """Disconnection of all RTDE clients; with a duration, new clients are disconnected too.
 
-    With `only: inputs` only those that own inputs are cut, and once.
+    With `only: inputs`, the fault disconnects the clients that own RTDE inputs, and only once.
     """
 
     for_s: float = 0.0
     only: str = choice(
-        "", lambda given: given == OWNERS, f"{OWNERS}, or leave it away to cut all connections"
+        "", lambda given: given == OWNERS, f"{OWNERS}, or omit it to cut all connections"
     )
 
     def begin(self, mock: Target) -> None:
@@ -68,7 +69,7 @@ class Cut(UrFault, kind="cut", lasts=True):
 
 
 class Unplugged(UrFault, kind="unplugged", lasts=True):
-    """Nothing gets through on any port."""
+    """Loss of all data on every port."""
 
     def begin(self, mock: Target) -> None:
         mock.unplugged = True
@@ -78,7 +79,7 @@ class Unplugged(UrFault, kind="unplugged", lasts=True):
 
 
 class _OnLine(UrFault):
-    """A fault of RTDE packages, for as long as it lasts; `Line` applies it."""
+    """Fault that affects all RTDE packages during its duration; applied by `Line`."""
 
     by_s = 0.0
 
@@ -90,27 +91,27 @@ class _OnLine(UrFault):
 
 
 class Silence(_OnLine, kind="silence", lasts=True):
-    """Packages are lost, replies too."""
+    """Loss of all RTDE packages, including replies."""
 
 
 class Jitter(_OnLine, kind="jitter", lasts=True):
-    """Packages come late, each by another time up to `by_s`; none overtakes."""
+    """Random delay of each package up to `by_s`; the order of packages is kept."""
 
     by_s: float = seconds(REQUIRED, most=60.0)
 
 
 class Late(_OnLine, kind="late", lasts=True):
-    """Packages come late."""
+    """Constant delay of each package by `by_s`."""
 
     by_s: float = seconds(REQUIRED, most=60.0)
 
 
 class Freeze(_OnLine, kind="freeze", lasts=True):
-    """The last data package is repeated."""
+    """Repetition of the last data package."""
 
 
 class _OfPackages(UrFault):
-    """A fault of the next data packages of each connected client."""
+    """Fault of the next data packages of each connected client."""
 
     packages: int = count()
     by_bytes = 0
@@ -120,28 +121,28 @@ class _OfPackages(UrFault):
 
 
 class Drop(_OfPackages, kind="drop"):
-    """They are lost."""
+    """Loss of the next data packages."""
 
 
 class Duplicate(_OfPackages, kind="duplicate"):
-    """They come twice."""
+    """Duplication of the next data packages."""
 
 
 class WrongLength(_OfPackages, kind="wrong_length"):
-    """They are too short or too long."""
+    """Wrong length of the next data packages: too short or too long."""
 
     by_bytes: int = number(-8, -1000, 1000, "a whole number of bytes, −1000 to 1000", whole=True)
 
 
 class Garbage(_OfPackages, kind="garbage"):
-    """Any bytes come in their place."""
+    """Random bytes in place of the next data packages."""
 
 
-# What happens to the controller and its arm
+# Faults of the controller and its arm
 
 
 class ProtectiveStop(UrFault, kind="protective_stop"):
-    """The controller stops the arm, by one of UR's numbers C…."""
+    """Protective stop by the controller, with an error code C… of UR."""
 
     code: int = number(158, 100, 999, "a UR error code, 100 to 999", whole=True)
 
@@ -150,14 +151,14 @@ class ProtectiveStop(UrFault, kind="protective_stop"):
 
 
 class EmergencyStop(UrFault, kind="emergency_stop"):
-    """The red button."""
+    """Emergency stop of the robot by its button."""
 
     def begin(self, mock: Target) -> None:
         mock.machine.emergency_stop()
 
 
 class SafeguardStop(UrFault, kind="safeguard_stop", lasts=True):
-    """A light curtain is broken; when it is over the program stays paused until it is resumed."""
+    """Safeguard stop, for example by a light curtain; afterwards the program stays paused."""
 
     def begin(self, mock: Target) -> None:
         mock.machine.safeguard_stop()
@@ -167,14 +168,14 @@ class SafeguardStop(UrFault, kind="safeguard_stop", lasts=True):
 
 
 class SafetyFault(UrFault, kind="safety_fault"):
-    """The safety system itself fails."""
+    """Fault of the safety system itself."""
 
     def begin(self, mock: Target) -> None:
         mock.machine.fault()
 
 
 class Overheat(UrFault, kind="overheat"):
-    """A joint is hot at once."""
+    """Sudden high temperature of one joint."""
 
     joint: int = number(2, 1, 6, "a joint from 1, the base, to 6", whole=True)
     celsius: float = number(90.0, -50, 200, "a temperature from −50 to 200 °C")
@@ -184,7 +185,7 @@ class Overheat(UrFault, kind="overheat"):
 
 
 class Reboot(UrFault, kind="reboot", lasts=True):
-    """The controller goes dark, and boots; with `powered` the arm is switched on then."""
+    """Power failure and restart of the controller; with `powered` the arm is then switched on."""
 
     for_s: float = 3.0
     powered: bool = choice(False, lambda given: isinstance(given, bool), "true or false")
@@ -199,7 +200,7 @@ class Reboot(UrFault, kind="reboot", lasts=True):
 
 
 class InputsOwned(UrFault, kind="inputs_owned", lasts=True):
-    """A fieldbus occupies all inputs that no client has."""
+    """Occupation of all free RTDE inputs by a fieldbus."""
 
     def begin(self, mock: Target) -> None:
         for name in mock.machine.inputs.variables:
@@ -211,7 +212,7 @@ class InputsOwned(UrFault, kind="inputs_owned", lasts=True):
 
 
 class RemoteOff(UrFault, kind="remote_off", lasts=True):
-    """The controller is in local control."""
+    """Change of the controller to local control."""
 
     def begin(self, mock: Target) -> None:
         mock.machine.modes.remote = False
@@ -221,7 +222,7 @@ class RemoteOff(UrFault, kind="remote_off", lasts=True):
 
 
 class PayloadRefused(UrFault, kind="payload_refused", lasts=True):
-    """The controller goes on believing in the load it has, whatever is declared."""
+    """Controller that ignores payload declarations and retains its payload."""
 
     def begin(self, mock: Target) -> None:
         mock.machine.body.deaf = True
@@ -231,7 +232,7 @@ class PayloadRefused(UrFault, kind="payload_refused", lasts=True):
 
 
 class DashboardHang(UrFault, kind="dashboard_hang", lasts=True):
-    """Clients of the dashboard get no answer."""
+    """Dashboard server that does not answer."""
 
     def begin(self, mock: Target) -> None:
         mock.mute = frozenset({DASHBOARD})
@@ -241,12 +242,12 @@ class DashboardHang(UrFault, kind="dashboard_hang", lasts=True):
 
 
 class UrFaults(Faults[Target]):
-    """The faults of one mock, under way, tick by tick.
+    """Fault schedule of one mock, advanced tick by tick.
 
     Args:
-        machine: What suffers.
+        machine: Simulated controller.
         planned: Planned faults.
-        owners: Of RTDE's inputs.
+        owners: Owners of the RTDE inputs.
     """
 
     def __init__(

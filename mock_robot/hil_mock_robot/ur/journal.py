@@ -1,4 +1,4 @@
-"""The journal of the mock controller: what came over the wire, what went wrong, when it rested."""
+"""Journal of the mock controller: received commands, faults, and times of rest."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ NAMES = {
     41: "jog_start", 42: "jog_stop", 45: "move_path", 51: "move_until_contact",
     65: "set_target_payload", 66: "direct_torque", 255: "stop_script",
 }  # fmt: skip
-"""Commands of the control script that the journal names; the others are numbers."""
+"""Map from command number of the control script to name in the journal; other commands appear as
+numbers."""
 
 MOVES = frozenset({1, 2, 3, 4, 6, 9, 10, 11, 12, 24, 41, 45, 51, 66})
 STOPS = frozenset({15, 16, 33, 34, 42, 255})
@@ -35,7 +36,7 @@ NAMED = re.compile(rb"^\s*(?:def|sec)\s+(\w+)", re.MULTILINE)
 CONTROL = b"rtde_control"
 LONGEST_SCRIPT = 1_000_000
 SAFETY_FAULT = {"fault": "safety_fault"}
-"""The safety system's own failure: `fault` is in the journal what was asked to go wrong."""
+"""Journal name of a fault of the safety system; `fault` is the name of an injected fault."""
 
 TOLD = ("program_started", "program_stopped", "protective_stop", "emergency_stop", "watchdog",
         "safeguard_stop", "error", "refused", "fault", "power_cut", "booted")  # fmt: skip
@@ -44,14 +45,14 @@ STOPPING_EVENTS = ("program_stopped", "protective_stop", "emergency_stop", "watc
 
 
 class Witness(journal.Witness):
-    """Writes the journal.
+    """Writer of the journal of a UR controller.
 
     Args:
-        machine: Whose journal it is.
-        journal: Where it is written.
+        machine: Controller whose events are written.
+        journal: Journal to write.
 
     Attributes:
-        sent: How many motion commands and set-points came through RTDE.
+        sent: Number of motion commands and set-points received over RTDE.
     """
 
     def __init__(self, machine: Machine, journal: Journal) -> None:
@@ -66,22 +67,22 @@ class Witness(journal.Witness):
             machine.watches[name] = self.commanded
 
     def moment(self) -> Moment:
-        """See `server.journal.Witness`."""
+        """Return the present times and the speed of the arm; see `server.journal.Witness`."""
         machine = self._machine
         fastest = float(np.abs(machine.reading.true_qd).max())
         return Moment(time.monotonic(), machine.now_s, fastest)
 
     def connected(self, link: TcpLink) -> None:
-        """Note a client that has connected."""
+        """Write to the journal that a client has connected."""
         self.note("connect", port=link.port, peer=link.peer)
 
     def disconnected(self, link: TcpLink) -> None:
-        """Note a client that has gone."""
+        """Write to the journal that a client has disconnected."""
         self._scripts.pop(link, None)
         self.note("disconnect", port=link.port, peer=link.peer)
 
     def commanded(self, number: int) -> None:
-        """Note a write of the command register; repetitions are one line until a stop."""
+        """Write a change of the command register; repeated commands until a stop give one line."""
         self.sent += number in MOVES
         if number == self._command:
             return
@@ -98,7 +99,7 @@ class Witness(journal.Witness):
             self.note("command", by=name, via="rtde", playing=playing)
 
     def received(self, link: TcpLink, data: bytes) -> None:
-        """Note commands to the dashboard and scripts among received bytes."""
+        """Write the dashboard commands and scripts in received bytes to the journal."""
         if link.port == DASHBOARD:
             for line in data.decode("utf-8", "replace").splitlines():
                 self._dashboard(line.strip().lower())
@@ -110,7 +111,7 @@ class Witness(journal.Witness):
                 self._script(text)
 
     def happened(self, event: Event) -> None:
-        """Note an event of the machine."""
+        """Write an event of the machine to the journal."""
         if event.kind not in TOLD:
             return
         details = {"name": event.name, "text": event.text, "code": event.code}
@@ -123,11 +124,11 @@ class Witness(journal.Witness):
             self._rest.stopped(kind, self.moment())
 
     def slipped(self, slip: Slip) -> None:
-        """Note that the computer could not keep the pace of the controller's clock."""
+        """Write that the computer could not keep the pace of the controller's clock."""
         self.note("slip", behind_s=round(slip.behind_s, 6), pace=round(slip.pace, 3))
 
     def ticked(self) -> None:
-        """Note after a tick whether the arm is at rest."""
+        """Check after a tick whether a stopped arm has come to rest."""
         if self._rest.waiting:
             machine = self._machine
             speed = machine.reading.true_qd[None]
@@ -158,7 +159,8 @@ class Witness(journal.Witness):
         self.note("start", by=by, **details)
 
     def _stopped(self, by: str, **details: Any) -> None:
-        # What is streamed goes on in the register: the next set-point is a command again.
+        # After a stop from a different interface, the next streamed set-point counts as a new
+        # command.
         if details.get("via") != "rtde":
             self._command = 0
         self.note("stop", by=by, moving=self._machine.motion is not None, **details)

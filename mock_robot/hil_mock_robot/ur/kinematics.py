@@ -1,9 +1,10 @@
-"""Kinematics of a UR arm: forward, differential and inverse, by the arm's published lengths.
+"""Forward, differential and inverse kinematics of a UR arm from its published lengths.
 
-Poses are (6,): metres and rotation vector [rad] of the tool in the base frame; `tcp` is the tool in
-the flange frame. `Frame` is a pose as twelve numbers; plain floats, because a tick of the
-controller has no time for small arrays. `Posture` is the chain at one joint position; `solve` and
-`nearest` are the inverse in closed form (`postures`), refined where a target needs it.
+A pose has shape (6,): position [m] and rotation vector [rad] of the tool in the base frame; `tcp`
+is the pose of the tool in the flange frame. `Frame` is a pose as twelve plain floats, because
+operations on small numpy arrays are too slow for a controller tick. `Posture` is the kinematic
+chain at one joint position. `solve` and `nearest` compute the inverse kinematics in closed form
+(`postures`); `solve` uses an iteration if no closed-form solution exists.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ Frame = tuple[float, float, float, float, float, float, float, float, float, flo
 
 
 def tool_frame(arm: ArmDescription, q: Numbers, tcp: Numbers) -> Frame:
-    """Frame of the tool at `q` (6,) [rad]."""
+    """Return the frame of the tool at `q` (6,) [rad]."""
     return compose(Posture(lengths_of(arm), q).flange, frame_of(tcp))
 
 
 def pose_of(arm: ArmDescription, q: Numbers, tcp: Numbers) -> FloatArray:
-    """URScript `get_forward_kin`: pose (6,) of the tool at `q` (6,) [rad]."""
+    """Return the tool pose (6,) at `q` (6,) [rad], as in URScript `get_forward_kin`."""
     return np.array(pose_from(tool_frame(arm, q, tcp)))
 
 
 def jacobian(arm: ArmDescription, q: Numbers, tcp: Numbers) -> FloatArray:
-    """Geometric Jacobian (6, 6) of the tool in the base frame: linear rows, then angular ones."""
+    """Return the geometric tool Jacobian (6, 6) in the base frame: linear, then angular rows."""
     return np.array(_jacobian(arm, q, tcp)).reshape(6, 6)
 
 
@@ -44,17 +45,17 @@ def _jacobian(arm: ArmDescription, q: Numbers, tcp: Numbers) -> list[float]:
 
 
 def tool_velocity(arm: ArmDescription, q: Numbers, qd: Numbers, tcp: Numbers) -> FloatArray:
-    """Velocity (6,) of the tool in the base frame, [m/s] and [rad/s]."""
+    """Return the velocity (6,) of the tool in the base frame, [m/s] and [rad/s]."""
     return np.array(twist_of(_jacobian(arm, q, tcp), qd))
 
 
 TWISTS = (pi / 2, 0.0, 0.0, pi / 2, -pi / 2, 0.0)
-"""DH α of every UR arm [rad]."""
+"""DH parameter α of each joint [rad], equal for all UR arms."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lengths:
-    """The DH lengths of one arm that are not zero [m]."""
+    """Nonzero DH parameters of one arm that are lengths [m]."""
 
     d1: float
     a2: float
@@ -66,10 +67,10 @@ class Lengths:
 
 @cache
 def lengths_of(arm: ArmDescription) -> Lengths:
-    """The lengths of an arm.
+    """Return the nonzero DH lengths of an arm.
 
     Raises:
-        SpecError: Its axes do not lie as those of a UR arm do.
+        SpecError: The joint axes of the arm do not match those of a UR arm.
     """
     if arm.n_joints == 6:
         a, alpha, d, theta = (column.tolist() for column in arm.dh.T)
@@ -78,7 +79,7 @@ def lengths_of(arm: ArmDescription) -> Lengths:
         if np.allclose(alpha, TWISTS) and not any(others):
             return lengths
     raise SpecError(
-        f"the axes of {arm.name} do not lie as those of a UR arm do",
+        f"the joint axes of {arm.name} are not arranged like those of a UR arm",
         hint="the mock UR controller moves ur3, ur5, ur10 and their e-Series versions",
     )
 
@@ -87,11 +88,11 @@ Triple = tuple[float, float, float]
 
 
 class Posture:
-    """One joint position of one arm, in the base frame.
+    """Kinematic chain of one arm at one joint position, in the base frame.
 
     Args:
-        lengths: Of the arm.
-        q: (6,) [rad].
+        lengths: DH lengths of the arm.
+        q: Joint position, (6,) [rad].
 
     Attributes:
         flange: Frame of the last link.
@@ -119,7 +120,7 @@ class Posture:
             c1 * self._x3 + s1 * d4, s1 * self._x3 - c1 * d4, self._z3,
         )  # fmt: skip
         ox, oy, oz = self._origin_6 = ox + d5 * ax, oy + d5 * ay, oz + d5 * az
-        # Axes of frame 5, whose z is that of the flange.
+        # Axes of frame 5, whose z axis is parallel to that of the flange.
         xx, xy, xz = c1 * c5 * c + s1 * s5, s1 * c5 * c - c1 * s5, c5 * s
         yx, yy, yz = -c1 * s, -s1 * s, c
         zx, zy, zz = s1 * c5 - c1 * s5 * c, -c1 * c5 - s1 * s5 * c, -s5 * s
@@ -132,21 +133,21 @@ class Posture:
 
     @property
     def elbow(self) -> Triple:
-        """Origin of the DH frame on the elbow's axis [m]."""
+        """Origin of the DH frame on the axis of the elbow joint [m]."""
         return self._c1 * self._x2, self._s1 * self._x2, self._z2
 
     def elbow_velocity(self, qd: Numbers) -> Triple:
-        """How fast `elbow` moves [m/s]."""
+        """Return the velocity of the point `elbow` [m/s]."""
         pan, lift = floats(qd)[:2]
         out, up = -lift * (self._z2 - self._z1), lift * self._x2
         x, y, _ = self.elbow
         return self._c1 * out - y * pan, self._s1 * out + x * pan, up
 
     def jacobian(self, point: Triple) -> list[float]:
-        """Geometric Jacobian of a point fixed to the flange: 36 numbers, row by row.
+        """Return the geometric Jacobian of a point fixed to the flange: 36 numbers, row by row.
 
         Args:
-            point: In the base frame [m].
+            point: Position of the point in the base frame [m].
         """
         x, y, z = point
         c1, s1 = self._c1, self._s1
@@ -172,7 +173,7 @@ def _minus(a: Triple, b: Triple) -> Triple:
 
 
 def twist_of(jacobian: list[float], qd: Numbers) -> list[float]:
-    """Velocity [m/s], then angular velocity [rad/s], of the point a Jacobian belongs to."""
+    """Return the velocity [m/s] of the point of a Jacobian, and the angular velocity [rad/s]."""
     a, b, c, d, e, f = floats(qd)
     J = jacobian
     return [
@@ -182,16 +183,18 @@ def twist_of(jacobian: list[float], qd: Numbers) -> list[float]:
 
 
 SINGULAR = 1e-9
-"""Sine of the wrist 2 angle below which only the sum of its neighbours matters."""
+"""Sine of the wrist 2 angle below which the wrist is singular: wrist 3 and the parallel joints
+are then determined only in sum."""
 
 ROUNDING = 1e-9
-"""How far a cosine may exceed 1 at the very end of the arm's reach, and a joint its limit [rad]."""
+"""Tolerance for a cosine above 1 at the limit of the reach, and for a joint limit [rad]."""
 
 FAR = 1e3
-"""Metres and radians beyond which, as for what is no number, there is no solution."""
+"""Magnitude of a pose coordinate [m or rad] beyond which no solution is searched."""
 
 ITERATIONS, DAMPING, LARGEST_STEP_RAD, STAGNANT = 60, 1e-3, 0.3, 0.9999
-"""Of the fallback; it gives up when a step leaves more than this share of the error."""
+"""Parameters of the damped least-squares iteration, which stops when a step leaves more than the
+share `STAGNANT` of the error."""
 
 
 def solve(
@@ -203,18 +206,19 @@ def solve(
     position_m: float = 1e-9,
     orientation_rad: float = 1e-9,
 ) -> FloatArray | None:
-    """The joint position (6,) [rad] that brings the tool to a pose, or None.
+    """Return the joint position (6,) [rad] that moves the tool to a pose, or None.
 
-    Of all postures within the joint limits it is the one with the least sum of squared distances
-    to `q_near`. Where there is none in closed form, damped least squares go as near as they can.
+    Of all postures within the joint limits, the result has the smallest sum of squared distances to
+    `q_near`. If there is no closed-form solution, a damped least-squares iteration searches for the
+    nearest position.
 
     Args:
-        arm: A UR arm.
-        pose: (6,) of the tool in the base frame.
-        q_near: (6,) [rad].
-        tcp: (6,) tool in the flange frame.
-        position_m: Largest position error of what the fallback finds [m].
-        orientation_rad: Its largest orientation error [rad].
+        arm: UR arm.
+        pose: Tool pose in the base frame, (6,).
+        q_near: Reference joint position, (6,) [rad].
+        tcp: Tool in the flange frame, (6,).
+        position_m: Maximum position error of a damped least-squares solution [m].
+        orientation_rad: Maximum orientation error of a damped least-squares solution [rad].
     """
     if not all(abs(number) < FAR for each in (pose, q_near, tcp) for number in floats(each)):
         return None
@@ -226,7 +230,7 @@ def solve(
 
 
 def nearest(arm: ArmDescription, flange: Frame, q_near: Numbers) -> list[float] | None:
-    """The same for a frame of the flange, in closed form only."""
+    """Return the closed-form solution nearest to `q_near` for a flange frame, or None."""
     lengths, near = lengths_of(arm), floats(q_near)
     low, high = arm.q_min.tolist(), arm.q_max.tolist()
     best, least = None, inf
@@ -241,12 +245,12 @@ def nearest(arm: ArmDescription, flange: Frame, q_near: Numbers) -> list[float] 
 
 
 def postures(lengths: Lengths, flange: Frame, wrist_3: float) -> Iterator[list[float]]:
-    """Up to eight joint positions [rad] that bring the flange to a frame, not yet unwound.
+    """Yield up to eight joint positions [rad] for a flange frame, without whole turns added.
 
     Args:
-        lengths: Of the arm.
-        flange: Where the flange shall be.
-        wrist_3: What wrist 3 is where it is free to choose, in the wrist singularity [rad].
+        lengths: DH lengths of the arm.
+        flange: Required flange frame.
+        wrist_3: Angle of wrist 3 in the wrist singularity, in which it is arbitrary [rad].
     """
     x, y = flange[9] - lengths.d6 * flange[2], flange[10] - lengths.d6 * flange[5]
     reach = hypot(x, y)
@@ -260,7 +264,7 @@ def postures(lengths: Lengths, flange: Frame, wrist_3: float) -> Iterator[list[f
 
 
 def _wrists(flange: Frame, pan: float, wrist_3: float) -> Iterator[tuple[float, float]]:
-    """Wrist 2 and wrist 3 for an angle of the pan joint; the wrist flips once."""
+    """Yield the angles of wrists 2 and 3 for a pan angle, for both signs of wrist 2."""
     r00, r01, r02, r10, r11, r12 = flange[:6]
     c1, s1 = cos(pan), sin(pan)
     along_x, along_y = r00 * s1 - r10 * c1, r01 * s1 - r11 * c1
@@ -275,10 +279,10 @@ def _wrists(flange: Frame, pan: float, wrist_3: float) -> Iterator[tuple[float, 
 def _planar(
     lengths: Lengths, flange: Frame, pan: float, wrist_2: float, wrist_3: float
 ) -> Iterator[list[float]]:
-    """The three parallel joints: elbow up and elbow down."""
+    """Yield the joint positions for both angles of the elbow: elbow up and elbow down."""
     c1, s1, c6, s6 = cos(pan), sin(pan), cos(wrist_3), sin(wrist_3)
     r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = flange
-    # The y axis of frame 5 lies in the plane and tells how far all three have turned together.
+    # The y axis of frame 5 lies in the plane and gives the sum of the three joint angles.
     yx, yy, yz = s6 * r00 + c6 * r01, s6 * r10 + c6 * r11, s6 * r20 + c6 * r21
     total = atan2(-(c1 * yx + s1 * yy), yz)
     x = c1 * (px - lengths.d6 * r02) + s1 * (py - lengths.d6 * r12) - lengths.d5 * sin(total)
@@ -296,7 +300,7 @@ def _planar(
 def unwind(
     q: list[float], near: Numbers, low: list[float], high: list[float]
 ) -> list[float] | None:
-    """Whole turns added so that each joint is nearest to `near` within its limits [rad]."""
+    """Return angles with whole turns added, nearest to `near` within the limits [rad], or None."""
     unwound = []
     for angle, goal, least, most in zip(q, near, low, high, strict=True):
         nearest = angle + 2 * pi * round((goal - angle) / (2 * pi))
@@ -313,7 +317,10 @@ def unwind(
 def approach(
     arm: ArmDescription, flange: Frame, near: Numbers, position_m: float, orientation_rad: float
 ) -> list[float] | None:
-    """Damped least squares from `near` (Nakamura and Hanafusa 1986); None when it ends far off."""
+    """Return a damped least-squares solution from `near`, or None if its error is too large.
+
+    Source: Nakamura and Hanafusa 1986.
+    """
     lengths, q, least = lengths_of(arm), np.array(near, dtype=np.float64), inf
     for _ in range(ITERATIONS):
         posture = Posture(lengths, q)
@@ -339,29 +346,29 @@ def _close(error: FloatArray, position_m: float, orientation_rad: float) -> bool
 
 
 NOWHERE: Frame = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-"""The frame that changes nothing."""
+"""Identity frame."""
 
 
 def floats(values: Numbers) -> Sequence[float]:
-    """The same numbers as Python's own floats: numpy's scalars are slow in scalar arithmetic."""
+    """Return the numbers as Python floats, because scalar arithmetic with numpy is slow."""
     return values.tolist() if isinstance(values, np.ndarray) else values
 
 
 def frame_of(pose: Numbers) -> Frame:
-    """The frame of a pose (6,)."""
+    """Return the frame of a pose (6,)."""
     x, y, z, rx, ry, rz = floats(pose)
     return (*rotation_of(rx, ry, rz), x, y, z)
 
 
 def pose_from(frame: Frame) -> list[float]:
-    """The pose (6,) of a frame; the rotation vector is at most π long."""
+    """Return the pose (6,) of a frame; the length of the rotation vector is at most π."""
     return [frame[9], frame[10], frame[11], *rotation_vector(frame)]
 
 
 def rotation_of(
     x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Rotation matrix, row by row, of a rotation vector [rad] (Rodrigues' formula)."""
+    """Return the rotation matrix, row by row, of a rotation vector [rad] (Rodrigues' formula)."""
     angle = sqrt(x * x + y * y + z * z)
     if angle == 0.0:
         return NOWHERE[:9]
@@ -376,10 +383,10 @@ def rotation_of(
 
 
 def rotation_vector(frame: Frame) -> Triple:
-    """Rotation vector [rad] of a frame, accurate for every angle from 0 to π.
+    """Return the rotation vector [rad] of a frame, accurate for every angle from 0 to π.
 
-    By way of the quaternion whose largest component is computed first (Shepperd 1978): a formula
-    by the trace alone loses all digits at π.
+    The computation uses the quaternion, starting with its largest component (Shepperd 1978). A
+    formula that uses only the trace loses all digits at an angle of π.
     """
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = frame[:9]
     trace = r00 + r11 + r22
@@ -400,7 +407,7 @@ def rotation_vector(frame: Frame) -> Triple:
 
 
 def compose(a: Frame, b: Frame) -> Frame:
-    """Return frame `b`, given in `a`, in the frame in which `a` is given."""
+    """Return frame `b`, which is expressed in frame `a`, in the reference frame of `a`."""
     a0, a1, a2, a3, a4, a5, a6, a7, a8, ax, ay, az = a
     b0, b1, b2, b3, b4, b5, b6, b7, b8, bx, by, bz = b
     return (
@@ -414,7 +421,7 @@ def compose(a: Frame, b: Frame) -> Frame:
 
 
 def inverted(frame: Frame) -> Frame:
-    """The frame that undoes this one."""
+    """Return the inverse of a frame."""
     a0, a1, a2, a3, a4, a5, a6, a7, a8, x, y, z = frame
     return (
         a0, a3, a6, a1, a4, a7, a2, a5, a8,
@@ -423,16 +430,16 @@ def inverted(frame: Frame) -> Frame:
 
 
 def turned(frame: Frame, x: float, y: float, z: float) -> Triple:
-    """Return a vector, given in a frame, in the axes in which that frame is given."""
+    """Return a vector, expressed in a frame, in the axes of that frame's reference frame."""
     a0, a1, a2, a3, a4, a5, a6, a7, a8 = frame[:9]
     return a0 * x + a1 * y + a2 * z, a3 * x + a4 * y + a5 * z, a6 * x + a7 * y + a8 * z
 
 
 def pose_trans(a: Numbers, b: Numbers) -> FloatArray:
-    """Return URScript's `pose_trans`: pose `b` (6,), given in `a` (6,), in the frame of `a`."""
+    """Return pose `b` (6,), expressed in `a` (6,), in the reference frame of pose `a`."""
     return np.array(pose_from(compose(frame_of(a), frame_of(b))))
 
 
 def pose_inv(a: Numbers) -> FloatArray:
-    """URScript `pose_inv`: the pose (6,) that undoes `a` (6,)."""
+    """Return the inverse pose (6,) of `a` (6,), as in URScript `pose_inv`."""
     return np.array(pose_from(inverted(frame_of(a))))

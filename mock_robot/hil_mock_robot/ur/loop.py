@@ -1,7 +1,7 @@
-"""The loop of the mock controller: one thread, sockets are served between ticks, no locks.
+"""Main loop of the mock controller: one thread serves sockets between ticks, without locks.
 
-`Loop` has the ports, `Conversations` the connections and their sessions (`connections`). A pacer
-decides when the next tick is due (`pacing`).
+`Loop` contains the ports, `Conversations` the connections and their sessions (`connections`). A
+pacer decides when the next tick is due (`pacing`).
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from hil_mock_robot.ur.side import SideService
 LONGEST_WAIT_S = 0.5
 
 DEAF_S = 10.0
-"""Wall time a client that is sent everything may leave it unread; it is hung up on then."""
+"""Wall time after which a lossless client that does not read is disconnected [s]."""
 
 
 class Loop(loop.Loop):
-    """Serves a machine's ports and lets its time pass.
+    """Server of the ports of a machine; the server also advances the device time of the machine.
 
     Args:
-        machine: The controller.
-        services: What listens.
-        pacer: When ticks are due.
+        machine: Simulated controller.
+        services: Services of the controller's ports.
+        pacer: Pacer that decides when ticks are due.
         address: Loopback address to listen on.
-        faults: Of the mock.
-        witness: Writes down what happens.
-        side: Not part of the controller: it is served whatever is wrong.
+        faults: Fault schedule of the mock.
+        witness: Writer of the journal.
+        side: Side channel, which is not part of the controller and is served during any fault.
 
     Raises:
-        PluginError: A port is taken.
+        PluginError: A port is in use.
     """
 
     def __init__(
@@ -65,14 +65,14 @@ class Loop(loop.Loop):
         self._open([*([side] if side is not None else []), *self._services])
 
     def leave(self) -> None:
-        """Close all connections."""
+        """Close all connections and the journal."""
         for each in [*self._listening, *self.sessions]:
             each.close()
         if self._witness is not None:
             self._witness.close(set_points=self._witness.sent)
 
     def turn(self) -> None:
-        """Serve clients, and tick when that is due."""
+        """Serve the clients, and execute a tick if a tick is due."""
         self._suffer()
         waiting = self._waits_for_client()
         wait = None if waiting else self._pacer.wait_s()
@@ -94,7 +94,7 @@ class Loop(loop.Loop):
             self._side.ticked()
 
     def _suffer(self) -> None:
-        """Apply the faults to the ports."""
+        """Apply the present faults to the ports."""
         struck = self._faults.mock
         now = (struck.unplugged, struck.mute, struck.dark)
         if now == self._suffered:
@@ -114,12 +114,13 @@ class Loop(loop.Loop):
         return self._faults.mock.unplugged or port in self._faults.mock.mute
 
     def _open(self, services: Iterable[Service]) -> None:
-        # RTDE last of the controller's: a client that finds it open finds the others open, too.
+        # Open RTDE last: a client that can connect to RTDE can then also connect to the other
+        # ports.
         for service in reversed(list(services)):
             self._listening[listen(self._address, service.port)] = service
 
     def _shut(self) -> None:
-        """Close every port of the controller, and all connections to it."""
+        """Close every port of the controller and all connections to the ports."""
         for each in [s for s, service in self._listening.items() if service is not self._side]:
             del self._listening[each]
             each.close()
@@ -129,7 +130,7 @@ class Loop(loop.Loop):
         self._talks.forget_closed()
 
     def _waits_for_client(self) -> bool:
-        """Return whether time waits for a client; one that does not read at all is disconnected."""
+        """Return whether device time waits for a client; disconnect a client that does not read."""
         waiting = False
         for link, session in self.sessions.values():
             if not session.lossless or not link.pending:
@@ -161,14 +162,16 @@ READ_BYTES = 65_536
 
 
 class Conversations:
-    """Connections and their sessions; a connection on which the mock fails is closed.
+    """Connections of clients and their sessions.
+
+    If the mock fails on a connection, only the affected connection is closed.
 
     Args:
-        mishaps: Mistakes of the mock.
-        witness: Writes down who comes, goes and says what.
+        mishaps: Recorder of internal errors of the mock.
+        witness: Writer of the journal; None for no journal.
 
     Attributes:
-        sessions: Socket → its link and session.
+        sessions: Map from the socket of a client to its link and session.
     """
 
     def __init__(self, mishaps: Mishaps, witness: Witness | None) -> None:
@@ -185,7 +188,7 @@ class Conversations:
             self._welcome(service, TcpLink(connection, peer, service.port))
 
     def receive(self, connection: socket.socket) -> None:
-        """Read from a client, which may have closed the connection."""
+        """Read data from a client, which has possibly closed the connection."""
         link, session = self.sessions[connection]
         try:
             data = connection.recv(READ_BYTES)
@@ -212,7 +215,7 @@ class Conversations:
                 self._give_up(link, error)
 
     def forget_closed(self) -> None:
-        """Drop closed connections."""
+        """Remove closed connections."""
         for connection in [s for s, (link, _) in self.sessions.items() if link.closed]:
             link, session = self.sessions.pop(connection)
             try:
@@ -233,6 +236,6 @@ class Conversations:
                 self._witness.disconnected(link)
 
     def _give_up(self, link: TcpLink, error: Exception) -> None:
-        """Close a connection after a mistake of the mock; the others stay."""
+        """Close one connection after an internal error of the mock; keep the other connections."""
         link.close()
         self._mishaps.met(error, f"a connection to port {link.port}")

@@ -1,14 +1,14 @@
-"""The controller itself: one tick after the other, without sockets and without wall time.
+"""Simulated UR controller without sockets and without wall time, advanced tick by tick.
 
-`Machine` has the arm, the modes, the `Program` that plays and the motion that moves the arm; the
-state that clients see is in its outputs. After every tick `Publishing` fills in joints, modes and
-supply, `Cartesian` the outputs that need kinematics: TCP, elbow, accelerometer, wrench. Quantities
-that the plant does not have are simple but plausible (docs/reference/mock-ur-rtde.md,
-docs/reference/mock-ur-motions.md).
+`Machine` contains the arm, the modes, the active `Program` and the motion that moves the arm. The
+outputs of `Machine` are the state that clients receive. After every tick, `Publishing` updates the
+outputs for joints, modes and supply, and `Cartesian` the outputs that need kinematics: TCP, elbow,
+accelerometer and wrench. Quantities that the plant does not simulate have simple, plausible values
+(docs/reference/mock-ur-rtde.md, docs/reference/mock-ur-motions.md).
 
-`HeatGuard` stops an arm that is too hot. Its limits and codes: Universal Robots, error codes C62A1
-(joint temperature high) and C62A11 (joint temperature, shut down); the real arm switches the joint
-off then, here that is a protective stop.
+`HeatGuard` stops an arm that is too hot. Source of the temperature limits and codes: Universal
+Robots, error codes C62A1 (joint temperature high) and C62A11 (joint temperature, shut down). At the
+shut-down limit, the real arm switches the joint off, whereas the mock triggers a protective stop.
 """
 
 from __future__ import annotations
@@ -60,11 +60,11 @@ PROGRAM_STOP_RAD_S2 = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A place in the text of a program.
+    """Position in the text of a program.
 
     Attributes:
-        line, column: From 1; column 1 if it is not known.
-        token: Text of the program there, `""` for prose.
+        line, column: Line and column, from 1; column 1 if it is unknown.
+        token: Program text at this position; `""` for a message without a position.
     """
 
     line: int = 1
@@ -77,15 +77,15 @@ NOWHERE = Place()
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """An event for the primary interface and the journal.
+    """Event for the primary interface and the journal.
 
     Attributes:
-        kind: `program_started`, `program_stopped`, `protective_stop`, `emergency_stop`, `popup`,
-            `error`, `text`, `refused`, …
-        name: Of the program, or another subject.
-        text: In words.
-        code: UR's error code C…, 0 for none.
-        place: In the text of a program.
+        kind: Kind of the event: `program_started`, `program_stopped`, `protective_stop`,
+            `emergency_stop`, `popup`, `error`, `text`, `refused`, …
+        name: Name of the program, or of another subject of the event.
+        text: Description for the user.
+        code: Error code C… of UR; 0 for none.
+        place: Position in the text of the program at which the event occurred.
     """
 
     kind: str
@@ -97,7 +97,7 @@ class Event:
 
 @dataclass(slots=True)
 class Watchdog:
-    """URScript `rtde_set_watchdog`: the action if an input is not written within so many ticks."""
+    """Watchdog of URScript: action if an input is not written for a number of ticks."""
 
     variable: str
     ticks: int
@@ -105,47 +105,49 @@ class Watchdog:
 
 
 class Program(Protocol):
-    """A robot program, called in each tick as long as it plays.
+    """Robot program, which is called in each tick while it plays.
 
     Attributes:
-        name: Of its `def`.
+        name: Name in the `def` of the program.
     """
 
     name: str
 
     def begin(self, machine: Machine) -> None:
-        """Prepare to play."""
+        """Prepare the program for its first tick."""
 
     def tick(self, machine: Machine) -> bool:
-        """Do the work of one tick; return False once the program is over."""
+        """Execute one tick of the program; return False once the program is over."""
 
     def end(self, machine: Machine) -> None:
-        """Clean up, at the end or when stopped; the machine brakes a motion that is under way."""
+        """Clean up at the end of the program or at a stop; the machine brakes an active motion."""
 
 
 class Machine:
-    """One controller and its arm, for one thread.
+    """Simulated UR controller and its arm; for use by one thread.
 
     Args:
-        series: Which generation of controller.
-        body: The arm.
-        serial: Its number: digits only.
+        series: Generation and software of the controller.
+        body: Simulated arm.
+        serial: Serial number of the arm: digits only.
+        powered: Whether the arm is switched on and its brakes are released.
 
     Attributes:
-        inputs, outputs: RTDE's variables.
-        modes: Power and safety.
-        ticks: Since it was switched on.
-        tcp: (6,) tool centre point in the flange frame, metres and rotation vector.
-        program: What plays or is paused.
-        runtime: State of the program.
-        motion: What moves the arm, None when the set-point stands still.
-        reading: What the joints reported last.
-        written: Input → tick in which it was last written.
-        watchdog: Set by the program that plays.
-        speed_fraction: The speed slider, 0 to 1.
-        listeners: Called with every `Event`.
-        watches: Input → called with the value when a client writes it.
-        mishaps: Mistakes of the mock in programs and motions.
+        inputs, outputs: Present values of the RTDE inputs and outputs.
+        modes: Present robot mode and safety mode.
+        ticks: Number of ticks since the controller was switched on.
+        tcp: Tool centre point in the flange frame, (6,): metres and rotation vector.
+        program: Playing or paused program; None if no program plays or is paused.
+        runtime: Runtime state of the program, as in RTDE `runtime_state`.
+        motion: Active motion; None if the set-point is at rest.
+        reading: Latest reading of the joints.
+        written: Map from input to the tick of the last write to this input.
+        watchdog: Watchdog set by the playing program.
+        speed_fraction: Position of the speed slider, 0 to 1.
+        listeners: Functions that are called with every `Event`.
+        watches: Map from input to a function that is called with the value when a client writes the
+            input.
+        mishaps: Recorder of internal errors of the mock in programs and motions.
     """
 
     def __init__(self, series: Series, body: Body, *, serial: str, powered: bool = True) -> None:
@@ -174,11 +176,11 @@ class Machine:
 
     @property
     def now_s(self) -> float:
-        """The controller's clock: RTDE `timestamp` [s]."""
+        """Controller time: RTDE `timestamp` [s]."""
         return self.ticks * self.tick_s
 
     def tick(self) -> None:
-        """Let one tick of device time pass."""
+        """Simulate one tick of device time of the controller."""
         self.ticks += 1
         self.modes.tick()
         self._power()
@@ -193,7 +195,7 @@ class Machine:
         self._publishing.publish(self)
 
     def write(self, name: str, value: Any) -> None:
-        """An input comes from a client."""
+        """Write an RTDE input on behalf of a client."""
         self.inputs[name] = value
         self.outputs.offer(name, value)
         self.written[name] = self.ticks
@@ -201,11 +203,11 @@ class Machine:
             self.watches[name](value)
 
     def move(self, motion: Motion | None) -> None:
-        """Replace the motion; None keeps the set-point where it is."""
+        """Replace the active motion; None keeps the set-point at its position."""
         self.motion = motion
 
     def play(self, program: Program) -> bool:
-        """Stop the program that plays and play this one; return False if none may play now."""
+        """Stop the present program and play `program`; return whether the arm is running."""
         self.halt()
         if not self.modes.running:
             self.tell("refused", program.name, "the arm is not running")
@@ -216,7 +218,7 @@ class Machine:
         return True
 
     def halt(self) -> None:
-        """End the program; a motion that is under way comes to rest."""
+        """End the program and bring an active motion to rest."""
         program, self.program = self.program, None
         self.runtime, self.watchdog = RuntimeState.STOPPED, None
         if program is not None:
@@ -226,22 +228,22 @@ class Machine:
             self.motion = StopJoints(PROGRAM_STOP_RAD_S2, self.tick_s)
 
     def pause(self) -> None:
-        """Hold the program where it is."""
+        """Pause the playing program."""
         if self.runtime is RuntimeState.PLAYING:
             self.runtime = RuntimeState.PAUSED
 
     def resume(self) -> None:
-        """Let a paused program go on."""
+        """Resume a paused program if the arm is running."""
         if self.runtime is RuntimeState.PAUSED and self.modes.running:
             self.runtime = RuntimeState.PLAYING
 
     def protective_stop(self, code: int, *, by_servo: bool = True, text: str = "") -> None:
-        """Stop because something is wrong.
+        """Trigger a protective stop.
 
         Args:
-            code: A code of `plant.records.FAULTS`, or UR's own.
-            by_servo: Whether the servo stops the arm; else the mechanical brakes do.
-            text: In words, where the code does not say it.
+            code: Code of `plant.records.FAULTS`, or an error code of UR.
+            by_servo: Whether the servo stops the arm; otherwise the mechanical brakes do.
+            text: Description of the stop, if the code alone does not identify the cause.
         """
         first = self.modes.running
         self.modes.protective_stop(code)
@@ -251,14 +253,14 @@ class Machine:
             self.tell("protective_stop", text=text, code=code)
 
     def emergency_stop(self) -> None:
-        """The red button."""
+        """Trigger an emergency stop of the robot: end the program and brake the arm."""
         self.modes.emergency_stop()
         self.halt()
         self._come_to_rest(EMERGENCY_STOP_RAD_S2, by_servo=True)
         self.tell("emergency_stop")
 
     def safeguard_stop(self) -> None:
-        """A light curtain is broken: everything pauses, and the servo holds the arm."""
+        """Trigger a safeguard stop: the program pauses, and the servo keeps the arm in position."""
         if not self.modes.cause("safeguard stop"):
             return
         self.pause()
@@ -266,21 +268,24 @@ class Machine:
         self.tell("safeguard_stop")
 
     def fault(self, code: int = 0) -> None:
-        """The safety system fails: the arm stops, then its power is cut."""
+        """Simulate a fault of the safety system: stop the arm, then switch its power off."""
         self.modes.fault(code)
         self.halt()
         self._come_to_rest(EMERGENCY_STOP_RAD_S2, by_servo=True)
         self.tell("fault", code=code)
 
     def cut_power(self) -> None:
-        """The controller goes dark: the mechanical brakes stop the arm at once."""
+        """Simulate a power failure: the mechanical brakes stop the arm immediately."""
         self.halt()
         self._lock()
         self.reading = self.body.step(self.setpoint)
         self.tell("power_cut")
 
     def boot(self, *, powered: bool) -> None:
-        """Start anew after `cut_power`: the clock at 0, nothing declared, nothing loaded."""
+        """Restart the controller after `cut_power`.
+
+        The clock starts at 0, no payload is declared, and no program is loaded.
+        """
         self.inputs, self.outputs = inputs_of(self.series), outputs_of(self.series)
         remote = self.modes.remote
         self.modes = Modes(self.tick_s, powered=powered)
@@ -289,7 +294,7 @@ class Machine:
         self.speed_fraction = 1.0
         self.body.forget()
         self.setpoint = self.body.setpoint
-        # Without what they remember of the time before.
+        # New objects, because the old ones store state from before the restart.
         self._heat, self._publishing = HeatGuard(), Publishing(self)
         self._publishing.publish(self)
         self.tell("booted")
@@ -302,23 +307,23 @@ class Machine:
     def tell(
         self, kind: str, name: str = "", text: str = "", code: int = 0, place: Place = NOWHERE
     ) -> None:
-        """Pass an event to the listeners."""
+        """Send an event to all listeners."""
         event = Event(kind, name, text, code, place)
         for listener in self.listeners:
             listener(event)
 
     def _play_on(self, program: Program) -> None:
-        """A tick of the program; a mistake of ours in it ends it, and nothing else."""
+        """Execute one tick of the program; an internal error of the mock ends only this program."""
         try:
             plays = program.tick(self)
         except Exception as error:
-            self.fail(f"the program cannot go on: {self.mishaps.met(error, 'a program')}")
+            self.fail(f"the program cannot continue: {self.mishaps.met(error, 'a program')}")
             return
         if not plays:
             self.halt()
 
     def _power(self) -> None:
-        """The brakes follow the robot mode."""
+        """Release or close the brakes according to the robot mode."""
         on = self.modes.robot is RobotMode.RUNNING
         if on and self.body.braked and self.modes.running:
             self.body.release()
@@ -328,7 +333,7 @@ class Machine:
             self._lock()
 
     def _guard(self) -> None:
-        """The watchdog a program has set."""
+        """Check the watchdog that a program has set, and execute its action if it has expired."""
         dog = self.watchdog
         if dog is None or self.ticks - self.written.get(dog.variable, 0) <= dog.ticks:
             return
@@ -349,7 +354,7 @@ class Machine:
         except MotionImpossible as error:
             after = self._break_off(error).advance(self.setpoint, self.speed_fraction)
         except Exception as error:
-            why = f"the motion cannot go on: {self.mishaps.met(error, 'a motion')}"
+            why = f"the motion cannot continue: {self.mishaps.met(error, 'a motion')}"
             after = self._break_off(MotionImpossible(why)).advance(self.setpoint, 1.0)
         if after is None:
             self.motion = None
@@ -361,7 +366,7 @@ class Machine:
                 self._break_off(out_of_range(self.body.arm, joint))
 
     def _break_off(self, error: MotionImpossible) -> StopJoints:
-        """A motion cannot begin or go on: a protective stop, or a runtime error of its program."""
+        """Stop after a motion error, by a protective stop or by a runtime error of the program."""
         if error.code:
             self.protective_stop(error.code, text=error.text)
         else:
@@ -384,19 +389,20 @@ class Machine:
 HIGH_C, SHUT_DOWN_C = 80.0, 85.0
 
 COOLED_K = 2.0
-"""So far below a limit it may be exceeded, and told, once more."""
+"""Amount [K] by which a temperature must fall below the limits before a high temperature is
+reported again."""
 
 CODE = 62
 
 
 class HeatGuard:
-    """Looks at the measured temperatures once a tick."""
+    """Monitor of the measured joint temperatures, called once per tick."""
 
     def __init__(self) -> None:
         self._high = False
 
     def look(self, machine: Machine) -> None:
-        """Warn once, and stop as long as a joint is too hot."""
+        """Warn once at a high temperature, and stop the arm while a joint is too hot."""
         celsius = machine.reading.temperature
         hottest = float(celsius.max())
         if hottest < HIGH_C - COOLED_K:
@@ -417,13 +423,13 @@ STANDBY_A = 0.5
 """Current that control box and joint electronics draw from the 48 V supply [A]."""
 
 WINDING_OHM = 1.0
-"""Heat in each motor and its amplifier per square of its current: a usual value."""
+"""Resistance of each motor with its amplifier, a typical value [Ω]."""
 
 EXECUTION_MS = 0.35
-"""`actual_execution_time` does not depend on the computer that simulates."""
+"""Constant value of `actual_execution_time`, independent of the simulating computer [ms]."""
 
 DEVIATION_RAD = 0.1
-"""Distance of actual from target position that `joint_position_deviation_ratio` counts as 1."""
+"""Distance of actual from target position at which `joint_position_deviation_ratio` is 1 [rad]."""
 
 CURRENT_WINDOW_A = 2.0
 POWER_ON, PROGRAM_RUNNING = 1, 2
@@ -438,7 +444,10 @@ JOINT_MODES = {
 
 
 class Publishing:
-    """Fills in the RTDE outputs of one machine; modes and load only when they change."""
+    """Updates of the RTDE outputs of one machine.
+
+    Outputs for modes and payload are written only after a change.
+    """
 
     def __init__(self, machine: Machine) -> None:
         self._cartesian = Cartesian(machine)
@@ -446,7 +455,7 @@ class Publishing:
         self._payload: object = None
 
     def publish(self, machine: Machine) -> None:
-        """Fill in the outputs after a tick."""
+        """Update the outputs after a tick."""
         out, seen = machine.outputs, machine.reading
         out["timestamp"] = machine.now_s
         for name, values in zip(
@@ -501,7 +510,7 @@ class Publishing:
 
 
 def _supply_current(machine: Machine) -> float:
-    """Return the current of the 48 V supply [A]: electronics, heat in the motors, work."""
+    """Return the current of the 48 V supply [A]: electronics, motor heat and mechanical work."""
     if machine.modes.robot < RobotMode.POWER_ON:
         return 0.0
     seen = machine.reading
@@ -511,7 +520,7 @@ def _supply_current(machine: Machine) -> float:
 
 
 def _momentum(machine: Machine) -> float:
-    """Return half the arm and the whole load at the speed of the TCP [kg·m/s]: a rough value."""
+    """Return a rough momentum [kg·m/s]: half the arm and the whole payload at the TCP speed."""
     body = machine.body
     x, y, z, *_ = machine.outputs["actual_TCP_speed"]
     moved = 0.5 * float(body.arm.mass.sum()) + body.declared.mass
@@ -519,7 +528,7 @@ def _momentum(machine: Machine) -> float:
 
 
 def _publish_supply(out: Values, *, powered: bool, running: bool) -> None:
-    """Fill in the outputs that change with the mode only."""
+    """Update the outputs that depend only on the robot mode."""
     out["actual_main_voltage"] = SUPPLY_V
     out["actual_robot_voltage"] = SUPPLY_V if powered else 0.0
     out["actual_joint_voltage"] = [SUPPLY_V if powered else 0.0] * 6
@@ -529,11 +538,12 @@ def _publish_supply(out: Values, *, powered: bool, running: bool) -> None:
 
 
 DAMPING = 0.05
-"""Damping of the least squares: keeps the wrench finite in a singularity."""
+"""Damping of the least-squares solution for the wrench, which keeps the wrench finite in a
+singularity."""
 
 
 class Cartesian:
-    """Computes those outputs of a machine that need its kinematics."""
+    """Computation of the RTDE outputs that need the kinematics of the arm."""
 
     def __init__(self, machine: Machine) -> None:
         body = machine.body
@@ -547,7 +557,7 @@ class Cartesian:
         self._before: list[float] | None = None
 
     def publish(self, machine: Machine) -> None:
-        """Fill in the outputs after a tick."""
+        """Update the Cartesian outputs after a tick."""
         out, seen = machine.outputs, machine.reading
         tool = frame_of(machine.tcp)
         if machine.setpoint is not self._setpoint or machine.tcp is not self._tcp:
@@ -570,7 +580,7 @@ class Cartesian:
             out["ft_raw_wrench"] = raw_wrench(machine, posture, felt)
 
     def _publish_target(self, out: Values, tool: Frame) -> None:
-        """Fill in outputs of the set-point, which is mostly at rest in a dwell program."""
+        """Update the outputs of the set-point, which is mostly at rest in a dwell program."""
         posture = Posture(self._lengths, self._setpoint[0])
         frame = compose(posture.flange, tool)
         J = posture.jacobian((frame[9], frame[10], frame[11]))
@@ -578,7 +588,7 @@ class Cartesian:
         out["target_TCP_speed"] = twist_of(J, self._setpoint[1])
 
     def _wrench(self, machine: Machine, jacobian: list[float]) -> list[float]:
-        """Return the wrench at the tool, from the torque that the servo's model does not have."""
+        """Return the wrench at the tool from the torque that the servo's model does not explain."""
         if machine.body.braked:
             return [0.0] * 6
         seen = machine.reading
@@ -589,7 +599,7 @@ class Cartesian:
         return numbers
 
     def _felt(self, posture: Posture, twist: list[float]) -> Triple:
-        """Return acceleration of the set-point less gravity, in the flange's axes [m/s²]."""
+        """Return the set-point acceleration minus gravity, in the axes of the flange [m/s²]."""
         before = self._before or twist
         self._before = twist
         gx, gy, gz = self._gravity
@@ -598,16 +608,16 @@ class Cartesian:
 
 
 def raw_wrench(machine: Machine, posture: Posture, felt: Triple) -> list[float]:
-    """Return (6,) force [N] and torque [N·m] on the flange, in its axes, about its origin.
+    """Return force [N] and torque [N·m] on the flange (6,), in its axes and about its origin.
 
-    It is weight and inertia of the load that really hangs there, as a point mass that does not
-    turn, and the pushes of the side channel. The sensor is ideal: no noise, no offset, and the
-    declared load is not subtracted.
+    The wrench is the weight and inertia of the mounted payload, modelled as a point mass without
+    rotation, plus the external pushes of the side channel. The sensor is ideal: no noise, no
+    offset, and the declared payload is not subtracted.
 
     Args:
-        machine: With the arm.
-        posture: Of the arm.
-        felt: Acceleration less gravity, in the axes of the flange [m/s²].
+        machine: Machine with the arm.
+        posture: Posture of the arm.
+        felt: Acceleration minus gravity, in the axes of the flange [m/s²].
     """
     load = machine.body.mounted
     fx, fy, fz = (-load.mass * each for each in felt)

@@ -1,7 +1,7 @@
-"""The mock UR controller: a controller on loopback sockets, with a simulated arm behind it.
+"""Mock UR controller: a controller on loopback sockets with a simulated arm.
 
-`main` runs it as a process (`hil mock ur`); `loop_of` puts the parts together: the machine, what it
-listens on, faults, side channel and journal.
+`main` runs the mock as a process (`hil mock ur`). `loop_of` assembles the parts of the mock:
+machine, services, faults, side channel and journal.
 """
 
 from __future__ import annotations
@@ -39,59 +39,70 @@ TELL = Tell(
     who="mock UR controller answers",
     requests="fault, clear, state, pendant, push, mount, speed or step",
     examples="""\
-tell fault protective_stop        something goes wrong: see docs/reference/mock-ur-faults.md
-tell fault silence for_s=2
-tell clear                        what lasts is over
-tell state                        where the arm is, modes, program, faults
-tell pendant unlock               releases a protective stop, 5 s of device time after it
-tell pendant release_emergency_stop
-tell pendant brake_release        switches the arm on first, where it is off
+send fault protective_stop        begin a fault: see docs/reference/mock-ur-faults.md
+send fault silence for_s=2
+send clear                        end all faults
+send state                        true pose, modes, program, faults
+send pendant unlock               release a protective stop, 5 s of device time after it
+send pendant release_emergency_stop
+send pendant brake_release        release the brakes; first switch the arm on if it is off
 """,
     places={
-        "--address": (str, "of the mock (default: 127.0.0.1)"),
-        "--side-port": (int, "(default: 30100)"),
+        "--address": (str, "address of the mock (default: 127.0.0.1)"),
+        "--side-port": (int, "port of the side channel (default: 30100)"),
     },
-    elsewhere="is it another --address or --side-port?",
+    elsewhere="or check --address and --side-port",
     main_keys={"fault": "kind", "pendant": "press", "speed": "factor", "step": "ticks"},
 )
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "", seed: int = 1) -> int:
-    """Run until SIGINT, SIGTERM or SIGHUP; returns the exit code.
+    """Run the mock until SIGINT, SIGTERM or SIGHUP; return the exit code.
 
     Args:
-        arguments: Of the command line, by default this process's.
-        prog: Command by which it was started, for its help.
-        seed: Default individual.
+        arguments: Command-line arguments; None for those of this process.
+        prog: Command that started the mock, for its help.
+        seed: Default seed for the random parameters of the arm.
     """
     given = parser_of(prog, seed).parse_args(arguments)
-    return exit_code_of(lambda: _tell(given) if given.command == "tell" else _run(given))
+    return exit_code_of(lambda: _send(given) if given.command else _run(given))
 
 
 def parser_of(prog: str = "", seed: int = 1) -> Parser:
-    """The command line of `hil mock ur` and `python -m hil_mock_robot ur`."""
-    parser = Parser(
-        "ur", prog, "A UR controller on loopback sockets, with a simulated arm behind it."
-    )
+    """Return the parser of `hil mock ur` and `python -m hil_mock_robot ur`."""
+    parser = Parser("ur", prog, "UR controller on loopback sockets with a simulated arm.")
     add = parser.add_argument
-    where = "loopback address; ports are a UR controller's and cannot be chosen, so a second mock "
-    add("--address", default="127.0.0.1", help=where + "takes another one, such as 127.0.0.2")
+    where = "loopback address; the ports are those of a UR controller, so a second mock "
+    add(
+        "--address",
+        default="127.0.0.1",
+        help=where + "needs a different address, such as 127.0.0.2",
+    )
     add("--speed", default="1", help="device seconds per second, `free`, or `lock-step`")
     parser.add_arm("ur5", CB3.arms + E_SERIES.arms, seed)
-    ranges = "joint range of the safety settings, for all joints; the arm's own without"
+    ranges = "joint range of the safety settings, for all joints; without, the range of the arm"
     add("--joint-range-deg", type=float, nargs=2, metavar=("LEAST", "MOST"), help=ranges)
-    speed = "joint speed of the safety settings, for all joints; the arm's own without"
+    speed = "joint speed of the safety settings, for all joints; without, that of the arm"
     add("--joint-speed-deg-s", type=float, metavar="SPEED", help=speed)
-    add("--serial", default="", help="digits; by default made of model and seed")
+    add(
+        "--serial",
+        default="",
+        help="serial number, digits only; by default derived from model and seed",
+    )
     add("--off", action="store_true", help="start with the arm switched off")
     add("--local", action="store_true", help="start in local control (e-Series)")
-    add("--side-port", type=int, default=30100, help="side channel for tests, 0 for none")
+    add(
+        "--side-port",
+        type=int,
+        default=30100,
+        help="port of the side channel for tests, 0 for none",
+    )
     parser.add_records()
     TELL.add_to(parser)
     return parser
 
 
-def _tell(given: argparse.Namespace) -> int:
+def _send(given: argparse.Namespace) -> int:
     place = given.address, given.side_port
     return show(TELL.ask(place, TELL.request(given.request, given.more)))
 
@@ -112,9 +123,9 @@ def loop_of(given: argparse.Namespace, machine: Machine, pacer: Pacer, address: 
     """Return the controller on its ports, with faults, journal and side channel.
 
     Raises:
-        SpecError: The file of faults cannot be used.
+        SpecError: The file of faults is invalid.
         RobotConnectionError: The journal cannot be written.
-        PluginError: A port is taken.
+        PluginError: A port is in use.
     """
     rtde = RtdeService(machine)
     planned = UrFault.read(given.faults) if given.faults else ()
@@ -155,23 +166,23 @@ def _warn(line: str) -> None:
 
 
 def machine_of(given: argparse.Namespace, series: Series) -> Machine:
-    """The controller and its arm as the command line describes them."""
+    """Return the controller and its arm according to the command line."""
     maker = published(given.model)
     q = pose_of(given.start_q_deg or upright_deg(maker), maker)
     body = Body(truth_of(given), series.rate_hz, q, mounted=mounted_of(given.mounted_kg))
     if given.joint_range_deg or given.joint_speed_deg_s is not None:
         body.arm = narrowed(body.arm, given.joint_range_deg, given.joint_speed_deg_s)
-    serial = serial_of(given.serial) or _made_serial(given)
+    serial = serial_of(given.serial) or _derived_serial(given)
     machine = Machine(series, body, serial=serial, powered=not given.off)
     machine.modes.remote = not given.local
     return machine
 
 
 def pacer_of(speed: str, series: Series) -> Pacer:
-    """How time passes.
+    """Return the pacer for a speed of the command line.
 
     Raises:
-        SpecError: There is no such speed.
+        SpecError: The speed is invalid.
     """
     factor = factor_of(speed)
     if factor is not None:
@@ -179,23 +190,23 @@ def pacer_of(speed: str, series: Series) -> Pacer:
     return FreeRun() if speed == "free" else LockStep()
 
 
-def _made_serial(given: argparse.Namespace) -> str:
-    """Digits as UR's serial numbers are: the year, the size of the arm, which one."""
+def _derived_serial(given: argparse.Namespace) -> str:
+    """Return a serial number in UR's format: year, size of the arm, number of the individual."""
     size = "".join(c for c in given.model if c.isdigit())
     individual = zlib.crc32(f"{given.model} {given.seed} {given.profile}".encode()) % 1_000_000
     return f"2022{size:0>2}{individual:06d}"
 
 
 def serial_of(given: str) -> str:
-    """Return the serial number of the command line, if controllers can have it.
+    """Return the serial number of the command line if it is valid.
 
     Raises:
-        SpecError: `ur-rtde` and others read a number and refuse what is none.
+        SpecError: The serial number is not numeric; `ur-rtde` and other clients read a number.
     """
     if given and not (given.isascii() and given.isdigit()):
         raise SpecError(
-            f"--serial {given!r}: a UR's serial number has digits only",
-            hint="such as --serial 2022050001",
+            f"--serial {given!r}: a UR serial number has only digits",
+            hint="give digits, such as --serial 2022050001",
         )
     return given
 
@@ -203,17 +214,17 @@ def serial_of(given: str) -> str:
 def narrowed(
     arm: ArmDescription, range_deg: Sequence[float] | None, speed_deg_s: float | None
 ) -> ArmDescription:
-    """The arm with the joint limits of its safety settings, which are never wider than its own.
+    """Return the arm with the joint limits of its safety settings, within the arm's own limits.
 
     Raises:
-        SpecError: No joint could move within them.
+        SpecError: The range of a joint is empty, or the speed is not positive.
     """
     least, most = np.radians(range_deg or (-np.inf, np.inf))
     fastest = np.inf if speed_deg_s is None else np.radians(speed_deg_s)
     q_min, q_max = np.maximum(arm.q_min, least), np.minimum(arm.q_max, most)
     if not ((q_min < q_max).all() and fastest > 0):
         raise SpecError(
-            f"--joint-range-deg {range_deg}, --joint-speed-deg-s {speed_deg_s}: nothing could move",
+            f"--joint-range-deg {range_deg}, --joint-speed-deg-s {speed_deg_s}: no motion possible",
             hint="give the smaller number first, and a speed above 0",
         )
     return replace(arm, q_min=q_min, q_max=q_max, qd_max=np.minimum(arm.qd_max, fastest))

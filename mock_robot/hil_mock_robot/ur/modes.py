@@ -1,4 +1,4 @@
-"""Power and safety modes of the controller, and the table of what leads from one to another.
+"""Robot modes and safety modes of the controller, and the table of their transitions.
 
 | robot mode | event                                   | next robot modes                   |
 |------------|-----------------------------------------|------------------------------------|
@@ -9,8 +9,10 @@
 | any        | emergency stop (both), violation, fault | the same for 0.5 s, then POWER_OFF |
 | any        | restart safety                          | BOOTING for 2 s, then POWER_OFF    |
 
-* In safety mode NORMAL or REDUCED only. Events that also change the safety mode happen only in the
-safety modes below; 1 to 5 are NORMAL, REDUCED, PROTECTIVE_STOP, RECOVERY and SAFEGUARD_STOP.
+Events marked with * in the table of robot modes have an effect only in safety mode NORMAL or
+REDUCED. Events that also change the safety mode have an effect only in the safety modes for which
+the table of safety modes contains the event. The safety modes 1 to 5
+are NORMAL, REDUCED, PROTECTIVE_STOP, RECOVERY and SAFEGUARD_STOP.
 
 | safety mode                     | event                  | next safety mode      |
 |---------------------------------|------------------------|-----------------------|
@@ -35,7 +37,7 @@ from enum import IntEnum
 
 
 class RobotMode(IntEnum):
-    """Values of RTDE's `robot_mode`."""
+    """Values of `robot_mode` in RTDE."""
 
     NO_CONTROLLER = -1
     DISCONNECTED = 0
@@ -50,11 +52,11 @@ class RobotMode(IntEnum):
 
 
 Path = tuple[tuple[RobotMode | None, float], ...]
-"""Robot modes one after the other, and the seconds in each; the last one stays."""
+"""Sequence of robot modes with the duration of each [s]; the last mode remains."""
 
 
 class SafetyMode(IntEnum):
-    """Values of RTDE's `safety_mode`."""
+    """Values of `safety_mode` in RTDE."""
 
     NORMAL = 1
     REDUCED = 2
@@ -68,19 +70,19 @@ class SafetyMode(IntEnum):
 
 
 SAFE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
-"""Modes in which the arm may move."""
+"""Safety modes in which the arm may move."""
 
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """The effect of one cause.
+    """Effect of one cause on the modes.
 
     Attributes:
-        cause: What happens, or what is asked for.
-        robot, safety: Modes in which this row applies.
-        path: Robot modes that follow; empty when the robot mode does not change.
-        becomes: Safety mode afterwards, None for the same.
-        after_s: So long the safety mode must have lasted.
+        cause: Event or request.
+        robot, safety: Robot modes and safety modes in which this transition applies.
+        path: Sequence of robot modes after the event; empty if the robot mode does not change.
+        becomes: Safety mode after the transition; None if the safety mode does not change.
+        after_s: Minimum duration of the present safety mode [s].
     """
 
     cause: str
@@ -102,7 +104,9 @@ STOPPED = (SafetyMode.PROTECTIVE_STOP, SafetyMode.SAFEGUARD_STOP, SafetyMode.REC
 Stay = None
 
 POWER_CUT_S = 0.5
-"""A category 1 stop: the servo brakes along the path, then the power is gone."""
+"""Time until the power is switched off in a category 1 stop [s]; the servo brakes along the
+path until then.
+"""
 
 _CUT: Path = ((Stay, POWER_CUT_S), *_OFF)
 EMERGENCY = (SafetyMode.ROBOT_EMERGENCY_STOP, SafetyMode.SYSTEM_EMERGENCY_STOP)
@@ -141,24 +145,24 @@ TRANSITIONS = (
         SafetyMode.NORMAL,
     ),
 )
-"""Everything that leads from one mode to another; whatever has no row here is refused.
+"""All transitions between modes; a cause without a matching entry is refused.
 
-Brakes that are released while the arm is off switch it on first (ROS driver, `brake_release`).
-Durations are this project's: real arms take several seconds.
+If the brakes are released while the arm is off, the arm is switched on first (ROS driver,
+`brake_release`). The durations were chosen for this project: real arms take several seconds.
 """
 
 
 class Modes:
-    """Which mode the controller is in.
+    """Present modes of the controller.
 
     Args:
-        tick_s: Device time of a tick.
-        powered: Whether the arm is switched on and its brakes released at the start.
+        tick_s: Device time of a tick [s].
+        powered: Whether the arm starts switched on and with released brakes.
 
     Attributes:
-        robot, safety: The present modes.
-        remote: Whether commands from outside are obeyed.
-        stop_code: Number of the fault that stopped the arm, 0 for none.
+        robot, safety: Present robot mode and safety mode.
+        remote: Whether the controller is in remote control.
+        stop_code: Code of the fault that stopped the arm; 0 for none.
     """
 
     def __init__(self, tick_s: float, *, powered: bool = True) -> None:
@@ -173,11 +177,11 @@ class Modes:
 
     @property
     def running(self) -> bool:
-        """Whether the servo holds the arm and may move it."""
+        """Whether the servo controls the arm and is allowed to move it."""
         return self.robot is RobotMode.RUNNING and self.safety in SAFE
 
     def tick(self) -> None:
-        """Let a tick of device time pass."""
+        """Advance the modes by one tick of device time."""
         self._lasted_s += self._tick_s
         if self._ahead:
             self._left_s -= self._tick_s
@@ -185,10 +189,10 @@ class Modes:
                 self._walk(self._ahead)
 
     def cause(self, what: str) -> bool:
-        """Let a cause take effect; return False if it has none in the present modes.
+        """Apply a cause; return False if it has no effect in the present modes.
 
         Args:
-            what: A cause of `TRANSITIONS`.
+            what: Cause in `TRANSITIONS`.
         """
         row = self._row(what)
         if row is None:
@@ -202,11 +206,11 @@ class Modes:
         return True
 
     def power_on(self) -> bool:
-        """Switch the arm on; its brakes stay engaged. False when that is not possible now."""
+        """Switch the arm on with closed brakes; return False if this is refused."""
         return self.cause("power on")
 
     def release_brakes(self) -> bool:
-        """Let the servo hold the arm, switched on first if need be; return False if not allowed."""
+        """Release the brakes, after switching the arm on if necessary; return False if refused."""
         return self.cause("release brakes")
 
     def power_off(self) -> None:
@@ -214,29 +218,29 @@ class Modes:
         self.cause("power off")
 
     def protective_stop(self, code: int = 0) -> None:
-        """Stop because something is wrong; `unlock` ends it."""
+        """Trigger a protective stop; `unlock` ends it."""
         if self.cause("protective stop"):
             self.stop_code = code
 
     def emergency_stop(self) -> None:
-        """The red button: the arm brakes, then its power is cut."""
+        """Trigger an emergency stop: the arm brakes, then its power is switched off."""
         self.cause("emergency stop")
 
     def release_emergency_stop(self) -> None:
-        """The red button is turned out again; the arm is off then."""
+        """Release the emergency stop; the arm is then off."""
         self.cause("release emergency stop")
 
     def unlock(self) -> bool:
-        """End a protective stop. False before its cause was looked at for 5 s, as the real one."""
+        """End a protective stop; return False within 5 s of its start, like a real controller."""
         return self.cause("unlock")
 
     def fault(self, code: int = 0) -> None:
-        """The safety system itself fails; `restart_safety` is the only way out."""
+        """Trigger a fault of the safety system; only `restart_safety` ends it."""
         if self.cause("fault"):
             self.stop_code = code
 
     def restart_safety(self) -> bool:
-        """Boot the safety system again; the arm is off then. False under an emergency stop."""
+        """Restart the safety system, with the arm off; return False during an emergency stop."""
         return self.cause("restart safety")
 
     def _row(self, what: str) -> Transition | None:
@@ -254,7 +258,7 @@ class Modes:
 
 
 class RuntimeState(IntEnum):
-    """Values of RTDE's `runtime_state`."""
+    """Values of `runtime_state` in RTDE."""
 
     STOPPING = 0
     STOPPED = 1
@@ -265,7 +269,7 @@ class RuntimeState(IntEnum):
 
 
 JOINT_RUNNING, JOINT_IDLE, JOINT_POWER_OFF, JOINT_BOOTING, JOINT_FAULT = 253, 255, 239, 247, 252
-"""RTDE `joint_mode`."""
+"""Values of `joint_mode` in RTDE that the mock sends."""
 
 SAFETY_BITS = {
     SafetyMode.NORMAL: 1 << 0,
@@ -278,4 +282,4 @@ SAFETY_BITS = {
     SafetyMode.VIOLATION: 1 << 8 | 1 << 10,
     SafetyMode.FAULT: 1 << 9 | 1 << 10,
 }
-"""RTDE `safety_status_bits`."""
+"""Map from safety mode to `safety_status_bits` in RTDE."""

@@ -1,8 +1,8 @@
-"""Motions, which move the set-point from tick to tick.
+"""Motions of the mock UR arm, which advance its set-point tick by tick.
 
-`MovePath` follows a planned route, `ServoJ`, `SpeedJ` and `SpeedL` follow the set-points that a
-client streams, `StopJoints` and `StopL` come to rest; all are a `Motion`. `ToolFollower` finds
-joint positions for a tool that moves on a line.
+`MovePath` follows a planned route; `ServoJ`, `SpeedJ` and `SpeedL` follow set-points streamed by a
+client; `StopJoints` and `StopL` stop the arm. All implement `Motion`. `ToolFollower` computes joint
+positions for a tool that moves on a line.
 """
 
 from __future__ import annotations
@@ -40,44 +40,47 @@ from hil_mock_robot.ur.path_pieces import Moment, Piece, Size, joint_size
 from hil_mock_robot.ur.routes import Leg, Site, blendable, joint_route, tool_route
 
 Setpoint = FloatArray
-"""(3, 6): position [rad], velocity [rad/s] and acceleration [rad/s²] that the servo follows."""
+"""Position [rad], velocity [rad/s] and acceleration [rad/s²] that the servo follows, (3, 6)."""
 
 ROUNDING, BISECTIONS = 1 + 1e-9, 8
 
 BRAKE_RAD_S2 = 8.0
-"""A move begins at rest; an arm that still moves when it is commanded brakes with this first."""
+"""Deceleration of an arm that still moves when a new move is commanded [rad/s²]; a move begins
+at rest.
+"""
 
 
 class Motion(Protocol):
-    """A motion under way, called in each tick of the controller."""
+    """Active motion, which is called in each tick of the controller."""
 
     def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
         """Return the next set-point, or None once the motion is over.
 
         Args:
-            now: The present set-point, which was commanded for the tick before.
-            scale: The speed slider, 0 to 1: share of a tick by which motion time advances.
+            now: Present set-point, which was commanded for the previous tick.
+            scale: Position of the speed slider, 0 to 1: share of a tick by which motion time
+                advances.
 
         Returns:
-            A new array. A motion that is over has come to rest: its last set-point has no speed.
+            New array (3, 6). The last set-point of a motion that is over has zero speed.
         """
 
 
 class MovePath:
-    """Moves one after the other, from rest to rest; implements `Motion`.
+    """Sequence of moves from rest to rest; implements `Motion`.
 
-    Moves in the same space are blended where they have a radius: they leave their straight ways
-    where the tool is that far from the waypoint, but never before half the way, and run from one
-    way into the other on a parabola. Between moves in different spaces the arm stops.
+    Consecutive moves in the same space are blended if they have a blend radius. The tool leaves the
+    straight segment at that distance from the waypoint, but not before the middle of the segment,
+    and changes to the next segment on a parabola. The arm stops between moves in different spaces.
 
     Args:
-        arm: Its lengths and limits; None for joint moves without limits.
-        tcp: (6,) tool in the flange frame, as set when the path is commanded.
-        legs: The moves.
-        tick_s: Device time of a tick.
+        arm: Arm with its lengths and limits; None for joint moves without limits.
+        tcp: Tool in the flange frame when the path is commanded, (6,).
+        legs: Moves of the path.
+        tick_s: Device time of a tick [s].
 
     Attributes:
-        progress: Index of the move under way; a blend belongs to the move that it begins.
+        progress: Index of the present move; a blend belongs to the move that begins with it.
     """
 
     def __init__(
@@ -93,11 +96,13 @@ class MovePath:
         self.progress = 0
 
     def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
-        """See `Motion`; the speed slider slows the time of the motion, not its way.
+        """Return the next set-point of the path; see `Motion.advance`.
+
+        The speed slider scales the time of the motion; the path does not change.
 
         Raises:
-            MotionImpossible: With code 150 for a target beyond the joint limits, 154 for a way
-                through a singularity or out of reach, 0 for a target out of reach.
+            MotionImpossible: The code is 150 for a target beyond the joint limits, 154 for a path
+                through a singularity or out of reach, and 0 for a target out of reach.
         """
         if not self._pieces:
             if now[1].any():
@@ -117,7 +122,7 @@ class MovePath:
         return self._moving(piece, pace, change / self._tick_s, now)
 
     def _plan(self, q: FloatArray) -> None:
-        """The pieces of the moves that come next and can be blended."""
+        """Plan the pieces of the next moves that can be blended together."""
         while not self._pieces and self._planned < len(self._legs):
             first = self._planned
             legs = self._legs[first : first + blendable(self._legs[first:])]
@@ -130,9 +135,9 @@ class MovePath:
                 self._follower = ToolFollower(*self._site.known, self._tick_s)
 
     def _slide(self, scale: float) -> tuple[float, float]:
-        """The pace of this tick, and by how much it has changed.
+        """Return the pace (motion time per device time) of this tick, and the change of the pace.
 
-        It goes to the slider as fast as the acceleration of the moves permits.
+        The pace approaches the slider position as fast as the acceleration of the moves permits.
         """
         before = self._pace = scale if self._pace is None else self._pace
         if before != scale:
@@ -140,7 +145,7 @@ class MovePath:
         return self._pace, self._pace - before
 
     def _share(self, before: float, change: float) -> float:
-        """How much of a change of the pace this tick permits, 0 to 1."""
+        """Return the share of a pace change that is permitted in this tick, 0 to 1."""
         if self._permitted(before, change):
             return 1.0
         low, high = 0.0, 1.0
@@ -152,9 +157,9 @@ class MovePath:
         return low
 
     def _permitted(self, before: float, change: float) -> bool:
-        """Whether the pace may change by so much in this tick."""
+        """Return whether the accelerations permit the pace to change by `change` in this tick."""
         rate, t = change / self._tick_s, self._t
-        paces = (before, before + change)  # the profile may bend within the tick
+        paces = (before, before + change)  # the acceleration profile can change within the tick
 
         def fits(piece: Piece, at: float) -> bool:
             return max(piece.effort(at, pace, rate) for pace in paces) <= ROUNDING
@@ -182,30 +187,32 @@ class MovePath:
 
 
 FASTEST_RAD_S = np.pi
-"""Of an arm that is not named."""
+"""Joint speed limit if no arm is specified [rad/s]."""
 
 STEEPEST_RAD_S2 = 40.0
-"""`servoj` speeds up no harder than this; it is what clients may ask of a move at most."""
+"""Maximum acceleration of `servoj` [rad/s²]; also the maximum that clients may request for a
+move.
+"""
 
 LOOKAHEAD_S, GAIN = (0.03, 0.2), (100.0, 2000.0)
 USUAL_GAIN = 300.0
 ARRIVED_RAD, RESTING_RAD_S = 1e-7, 1e-6
 
 LIMIT_BRAKE_RAD_S2 = 8.0
-"""How hard an arm that comes near its joint limits will be stopped: see `Machine`."""
+"""Deceleration of an arm near its joint limits, as commanded by `Machine` [rad/s²]."""
 
 
 class ServoJ:
-    """URScript `servoj`: the joints follow a target that a program moves tick by tick.
+    """Motion of URScript `servoj`: the joints follow a target that a program moves tick by tick.
 
-    A critically damped second-order filter for each joint, which lags behind a steady target by
-    `lookahead · √(300 / gain)` and never swings beyond a target that stands still. It speeds up
-    with at most 40 rad/s² and gets as fast as the arm can, times the speed slider; how hard it
-    brakes follows from the filter. The real one's law is not published.
+    Each joint has a critically damped second-order filter, which lags behind a steadily moving
+    target by `lookahead · √(300 / gain)` and never overshoots a static target. The acceleration is
+    at most 40 rad/s². The speed is limited to the joint speed limit times the speed slider, and the
+    deceleration follows from the filter. The control law of the real controller is not published.
 
     Args:
-        tick_s: Device time of a tick.
-        arm: Whose limits hold; None for π rad/s and any position.
+        tick_s: Device time of a tick [s].
+        arm: Arm whose limits apply; None for π rad/s and any position.
     """
 
     def __init__(self, tick_s: float, arm: ArmDescription | None = None) -> None:
@@ -217,13 +224,13 @@ class ServoJ:
         self._share: float | None = None
 
     def aim(self, q: Numbers, time_s: float, lookahead_s: float, gain: float) -> None:
-        """Follow this target (6,) [rad] for `time_s`; after that it is where the arm comes to rest.
+        """Set the target to follow for `time_s`; afterwards the arm comes to rest at the target.
 
         Args:
-            q: (6,) [rad].
-            time_s: [s].
-            lookahead_s: 0.03 to 0.2 [s]; what lies outside counts as the nearest of these.
-            gain: 100 to 2000, likewise.
+            q: Target joint positions, (6,) [rad].
+            time_s: Duration of the command [s].
+            lookahead_s: Smoothing time, clipped to 0.03 to 0.2 [s].
+            gain: Position gain, clipped to 100 to 2000.
         """
         self._target = np.array((*q, time_s, lookahead_s, gain), dtype=np.float64)
         self._ticks_left = max(1.0, time_s / self._tick_s)
@@ -231,10 +238,11 @@ class ServoJ:
         self._rate = 2.0 / lookahead * sqrt(min(max(GAIN[0], gain), GAIN[1]) / USUAL_GAIN)
 
     def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
-        """See `Motion`; over when the aims have stopped and the last one is reached.
+        """Return the next set-point; None if the last target is reached and no new target was set.
 
         Raises:
-            MotionImpossible: With code 150 for a target beyond the joint limits, 204 for none.
+            MotionImpossible: The code is 150 for a target beyond the joint limits, and 204 for a
+                target that is not finite.
         """
         if self._target is None:
             return StopJoints(LIMIT_BRAKE_RAD_S2, self._tick_s).advance(now, scale)
@@ -250,13 +258,13 @@ class ServoJ:
         return self._filtered(q - target, q, v)
 
     def _slide(self, scale: float) -> None:
-        """Let the speed limit follow the slider no harder than the arm brakes."""
+        """Adjust the speed limit to the slider, at most as fast as `LIMIT_BRAKE_RAD_S2`."""
         step = LIMIT_BRAKE_RAD_S2 * self._tick_s / float(self._fastest.max())
         before = scale if self._share is None else self._share
         self._share = min(max(scale, before - step), before + step)
 
     def _filtered(self, away: FloatArray, q: FloatArray, v: FloatArray) -> Setpoint:
-        """One tick of x'' = -w²·x - 2w·x', exactly; errors too large for the speed are cut."""
+        """Compute an exact step of x'' = -w²·x - 2w·x', with x clipped to limit the speed."""
         dt, w = self._tick_s, self._rate
         furthest = 2.0 * (self._share or 0.0) / w * self._fastest
         x = np.clip(away, -furthest, furthest)
@@ -269,11 +277,11 @@ class ServoJ:
 
 
 class SpeedJ:
-    """URScript `speedj`: to a speed with an acceleration, then on and on.
+    """Motion of URScript `speedj`: the joints accelerate to a speed and keep this speed.
 
     Args:
-        tick_s: Device time of a tick.
-        arm: Whose limits hold; None for any.
+        tick_s: Device time of a tick [s].
+        arm: Arm whose limits apply; None for no limits.
     """
 
     def __init__(self, tick_s: float, arm: ArmDescription | None = None) -> None:
@@ -281,16 +289,18 @@ class SpeedJ:
         self._speed, self._a = np.zeros(6), 1.0
 
     def aim(self, qd: Numbers, a: float) -> None:
-        """Turn with `qd` (6,) [rad/s]; the joint that has most to change does it with `a`."""
+        """Set the joint speeds `qd` (6,) [rad/s]; the largest change has acceleration `a`."""
         self._speed, self._a = np.array(qd, dtype=np.float64), abs(a) or 1.0
         if self._arm is not None:
             self._speed /= max(1.0, float((np.abs(self._speed) / self._arm.qd_max).max()))
 
     def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
-        """See `Motion`; the slider slows the speed that is aimed at. Never over by itself.
+        """Return the next set-point; the motion never ends by itself.
+
+        The speed slider scales the commanded speed.
 
         Raises:
-            MotionImpossible: With code 150 when a joint could hardly stop within its limits.
+            MotionImpossible: The code is 150 if a joint could no longer stop within its limits.
         """
         require_finite(self._speed, self._a)
         v = _towards(now[1], scale * self._speed, self._a * self._tick_s, joint_size)
@@ -301,19 +311,19 @@ class SpeedJ:
 
 
 def _towards(now: FloatArray, goal: FloatArray, most: float, size: Size) -> FloatArray:
-    """All components change in proportion, by a change of at most this size."""
+    """Return `now` moved towards `goal` by a size of at most `most`, components in proportion."""
     change = goal - now
     whole = size(change)
     return goal if whole <= most else now + change * (most / whole)
 
 
 class SpeedL:
-    """URScript `speedl`: the tool to a velocity with an acceleration, then on and on.
+    """Motion of URScript `speedl`: the tool accelerates to a velocity and keeps this velocity.
 
     Args:
-        arm: A UR arm.
-        tcp: (6,) tool in the flange frame.
-        tick_s: Device time of a tick.
+        arm: UR arm.
+        tcp: Tool in the flange frame, (6,).
+        tick_s: Device time of a tick [s].
     """
 
     def __init__(self, arm: ArmDescription, tcp: Numbers, tick_s: float) -> None:
@@ -323,14 +333,19 @@ class SpeedL:
         self._twist: FloatArray | None = None
 
     def aim(self, xd: Numbers, a: float) -> None:
-        """Move with `xd` (6,) [m/s, rad/s] in the base frame; speed up with `a` [m/s², rad/s²]."""
+        """Set the tool velocity in the base frame and its acceleration.
+
+        Args:
+            xd: Velocity, (6,) [m/s, rad/s].
+            a: Acceleration [m/s², rad/s²].
+        """
         self._speed, self._a = np.array(xd, dtype=np.float64), abs(a) or 1.0
 
     def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
-        """See `SpeedJ.advance`.
+        """Return the next set-point; see `SpeedJ.advance`.
 
         Raises:
-            MotionImpossible: With code 150 near joint limits, 154 near a singularity.
+            MotionImpossible: The code is 150 near joint limits, and 154 near a singularity.
         """
         require_finite(self._speed, self._a)
         if self._twist is None:
@@ -343,15 +358,18 @@ class SpeedL:
 
 
 def _larger_part(change: FloatArray) -> float:
-    """Of a twist: `speedl` speeds up its turn with as many rad/s² as its way with m/s²."""
+    """Return the larger norm of translation and rotation of a twist change.
+
+    `speedl` applies the same number as rotational [rad/s²] and translational [m/s²] acceleration.
+    """
     return float(max(np.linalg.norm(change[:3]), np.linalg.norm(change[3:])))
 
 
 def require_stopping(arm: ArmDescription, q: FloatArray, v: FloatArray) -> None:
-    """Refuse to go on where no joint may be unable to stop within its limits any more.
+    """Raise if a joint could no longer stop within its limits.
 
     Raises:
-        MotionImpossible: With code 150.
+        MotionImpossible: A joint would stop beyond its limit; the code is 150.
     """
     rest = q + v * np.abs(v) / (2.0 * LIMIT_BRAKE_RAD_S2)
     beyond = ((rest > arm.q_max) & (v > 0)) | ((rest < arm.q_min) & (v < 0))
@@ -360,22 +378,22 @@ def require_stopping(arm: ArmDescription, q: FloatArray, v: FloatArray) -> None:
 
 
 JOINTS_INSTEAD_RAD_S2 = 8.0
-"""Where the tool cannot be stopped on a straight line, the joints are, with this."""
+"""Joint deceleration if the tool cannot be stopped on a straight line [rad/s²]."""
 
 
 class StopJoints:
-    """URScript `stopj(a)`: the fastest joint decelerates with `a`, the others in proportion.
+    """Motion of URScript `stopj(a)`: the fastest joint decelerates with `a`, all in proportion.
 
     Args:
-        deceleration: [rad/s²].
-        tick_s: Device time of a tick.
+        deceleration: Deceleration of the fastest joint [rad/s²].
+        tick_s: Device time of a tick [s].
     """
 
     def __init__(self, deceleration: float, tick_s: float) -> None:
         self._a, self._tick_s = deceleration, tick_s
 
     def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
-        """See `Motion`; the speed slider does not delay a stop."""
+        """Return the next set-point; the speed slider does not delay a stop."""
         speed = float(np.abs(now[1]).max())
         if speed == 0.0:
             return None
@@ -386,16 +404,16 @@ class StopJoints:
 
 
 class StopL:
-    """URScript `stopl(a)`: the tool decelerates on the line on which it moves.
+    """Motion of URScript `stopl(a)`: the tool decelerates on its present line of motion.
 
-    A tool that moves mostly by turning decelerates its turn with as many rad/s². Near a
-    singularity the joints stop together instead: a stop never fails.
+    If the tool mainly rotates, the same number is its rotational deceleration [rad/s²]. Near a
+    singularity the joints decelerate together instead, so a stop never fails.
 
     Args:
-        arm: A UR arm.
-        tcp: (6,) tool in the flange frame.
-        deceleration: [m/s²].
-        tick_s: Device time of a tick.
+        arm: UR arm.
+        tcp: Tool in the flange frame, (6,).
+        deceleration: Tool deceleration [m/s²].
+        tick_s: Device time of a tick [s].
     """
 
     def __init__(
@@ -408,7 +426,7 @@ class StopL:
         self._most = 0.0
 
     def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
-        """See `Motion`; the speed slider does not delay a stop."""
+        """Return the next set-point; the speed slider does not delay a stop."""
         if self._straight:
             try:
                 return self._on_the_line(now)
@@ -417,7 +435,11 @@ class StopL:
         return self._joints.advance(now, scale)
 
     def _on_the_line(self, now: Setpoint) -> Setpoint | None:
-        """One tick; the joints must not get faster than they were when the stop began."""
+        """Return the next set-point on the line.
+
+        Raises:
+            MotionImpossible: A joint would become faster than at the start of the stop.
+        """
         fastest = float(np.abs(now[1]).max())
         if fastest == 0.0:
             return None
@@ -435,19 +457,19 @@ class StopL:
 
 
 TOO_FAST = 1.001
-"""Share of a joint's speed limit that rounding and the step of time may take."""
+"""Factor on a joint's speed limit that allows for rounding errors and the time step."""
 
 FEW_RAD = 1e-3
-"""Below this angle the exponential map is computed by its series [rad]."""
+"""Angle below which the exponential map is computed by its series [rad]."""
 
 
 class ToolFollower:
-    """Finds the joints that bring the tool where a path leads.
+    """Computation of the joint motion that moves the tool along a path.
 
     Args:
-        arm: Its lengths and speed limits.
-        tcp: (6,) tool in the flange frame.
-        tick_s: Device time of a tick.
+        arm: Arm with its lengths and speed limits.
+        tcp: Tool in the flange frame, (6,).
+        tick_s: Device time of a tick [s].
     """
 
     def __init__(self, arm: ArmDescription, tcp: Numbers, tick_s: float) -> None:
@@ -457,24 +479,24 @@ class ToolFollower:
         self._tick_s = tick_s
 
     def setpoint(self, moment: Moment, anchor: FloatArray, pace: float, now: Setpoint) -> Setpoint:
-        """The next set-point.
+        """Return the next set-point on a tool path.
 
         Args:
-            moment: Where the path is, in tool coordinates.
-            anchor: (3,) rotation vector of the frame that they turn.
-            pace: Motion time per time.
-            now: The present set-point.
+            moment: Position, velocity and acceleration on the path, in tool coordinates.
+            anchor: Rotation vector of the frame in which the path rotation is defined, (3,).
+            pace: Motion time per unit of device time.
+            now: Present set-point.
 
         Raises:
-            MotionImpossible: With code 154: the way leads out of reach, or a joint would have to
-                turn faster than it can.
+            MotionImpossible: The path leads out of reach, or a joint would exceed its speed limit;
+                the code is 154.
         """
         x, y, z, *turn = moment[0].tolist()
         held = frame_of((x, y, z, *anchor.tolist()))
         frame = compose(held, (*rotation_of(*turn), 0.0, 0.0, 0.0))
         q = nearest(self._arm, compose(frame, self._back), now[0])
         if q is None:
-            raise MotionImpossible("the way of the tool leads out of reach", SINGULARITY)
+            raise MotionImpossible("the path of the tool leads out of reach", SINGULARITY)
         vx, vy, vz, *rates = (pace * moment[1]).tolist()
         spin = turned(held, *_spin(turn, rates))
         qd = self.joint_speeds(q, (vx, vy, vz, *spin))
@@ -483,14 +505,15 @@ class ToolFollower:
         return np.array((q, qd, (qd - now[1]) / self._tick_s))
 
     def joint_speeds(self, q: Numbers, twist: Numbers) -> FloatArray:
-        """Joint speeds (6,) [rad/s] that move the tool with a twist (6,).
+        """Return the joint speeds (6,) [rad/s] that move the tool with a twist (6,).
 
         Raises:
-            MotionImpossible: With code 154: there are none, or none that the joints can do.
+            MotionImpossible: No joint speeds give this twist, or a joint would exceed its speed
+                limit; the code is 154.
         """
         J = np.array(self._jacobian(q)).reshape(6, 6)
         qd: FloatArray
-        _, _, qd, singular = dgesv(J, np.array(twist))  # a third of the time of numpy's solve
+        _, _, qd, singular = dgesv(J, np.array(twist))  # takes a third of numpy's time
         if singular:
             raise MotionImpossible("the tool cannot move in that direction", SINGULARITY)
         beyond = np.abs(qd) > TOO_FAST * self._arm.qd_max
@@ -503,7 +526,7 @@ class ToolFollower:
         """Return the set-point after a tick at whose end the tool moves with a twist (6,).
 
         Raises:
-            MotionImpossible: See `joint_speeds`.
+            MotionImpossible: No permitted joint speeds give this twist; see `joint_speeds`.
         """
         ahead = now[0] + self._tick_s * now[1]
         qd = self.joint_speeds(ahead, twist)
@@ -511,7 +534,7 @@ class ToolFollower:
         return np.array((q, qd, (qd - now[1]) / self._tick_s))
 
     def twist(self, now: Setpoint) -> list[float]:
-        """Velocity (6,) of the tool at a set-point, [m/s] and [rad/s]."""
+        """Return the velocity (6,) of the tool at a set-point, [m/s] and [rad/s]."""
         return twist_of(self._jacobian(now[0]), now[1])
 
     def _jacobian(self, q: Numbers) -> list[float]:
@@ -521,7 +544,7 @@ class ToolFollower:
 
 
 def _spin(turn: list[float], rates: list[float]) -> Triple:
-    """Angular velocity of a rotation vector that changes (left Jacobian of SO(3))."""
+    """Return the angular velocity of a changing rotation vector (left Jacobian of SO(3))."""
     x, y, z = turn
     u, v, w = rates
     cx, cy, cz = y * w - z * v, z * u - x * w, x * v - y * u

@@ -1,6 +1,7 @@
-"""Impossible motions: beyond a joint's range, through a singularity, to no finite number.
+"""Checks for impossible motions: targets beyond a joint range, singularities, non-finite numbers.
 
-All end in `MotionImpossible`, with UR's code of a protective stop where there is one.
+All checks raise `MotionImpossible`, with UR's code of a protective stop if UR has a code for the
+cause.
 """
 
 from __future__ import annotations
@@ -17,21 +18,22 @@ STOP_TEXTS = {
     SINGULARITY: "Position in singularity",
     SUDDEN_CHANGE: "Path sanity check: Sudden change in target position",
 }
-"""UR's error codes C… that motions lead to, and what they are called.
+"""UR's error codes C… for impossible motions, with UR's description.
 
-Source: Universal Robots, "Service Manual", chapter on error codes.
+Source: The source of the codes is Universal Robots, "Service Manual", chapter on error codes.
 """
 
 
 class MotionImpossible(CommandRefused):
-    """A motion cannot begin or cannot go on; raised by `advance` alone.
+    """Error of a motion that cannot begin or continue; raised only during `Motion.advance`.
 
     Args:
-        text: Message, as the pendant would show it.
-        code: UR's code of a protective stop, or 0 for a runtime error of the program.
+        text: Message as the teach pendant would show it.
+        code: UR's code of a protective stop; 0 for a runtime error of the program.
+        hint: Remedy for the user.
 
     Attributes:
-        text, code: The same.
+        text, code: Message with the description of the code, and the code itself.
     """
 
     def __init__(self, text: str, code: int = 0, *, hint: str = "") -> None:
@@ -47,7 +49,7 @@ def require_within(arm: ArmDescription, q: FloatArray) -> None:
     """Raise if a target (6,) [rad] is beyond the joint limits.
 
     Raises:
-        MotionImpossible: With code 150.
+        MotionImpossible: A joint is beyond its limits; the code is 150.
     """
     beyond = (q > arm.q_max + TOLERANCE_RAD) | (q < arm.q_min - TOLERANCE_RAD)
     if beyond.any():
@@ -66,14 +68,14 @@ def require_finite(*numbers: float | FloatArray) -> None:
     """Raise if a number is not finite.
 
     Raises:
-        MotionImpossible: With code 204.
+        MotionImpossible: A number is infinite or NaN; the code is 204.
     """
     if not all(np.isfinite(each).all() for each in numbers):
         raise MotionImpossible("a target is not a finite number", SUDDEN_CHANGE)
 
 
 def joint_leaving_range(arm: ArmDescription, q: FloatArray, qd: FloatArray) -> int | None:
-    """Return a joint that is beyond its range and moves further out, or None."""
+    """Return the index of a joint beyond its range that moves further out, or None."""
     beyond = (q > arm.q_max + TOLERANCE_RAD) & (qd > 0)
     beyond |= (q < arm.q_min - TOLERANCE_RAD) & (qd < 0)
     return int(beyond.argmax()) if beyond.any() else None

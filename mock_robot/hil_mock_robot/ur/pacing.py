@@ -1,7 +1,8 @@
-"""When the next tick of the mock controller is due.
+"""Pacers, which decide when the next tick of the mock controller is due.
 
-`RealTime` follows the wall clock, `FreeRun` goes as fast as it can, `LockStep` waits until a client
-permits a tick. Real time that the computer is too slow for is given up, and told as a `Slip`.
+`RealTime` follows the wall clock, `FreeRun` runs as fast as possible, and `LockStep` waits until a
+client permits a tick. If the computer is too slow for real time, the delay is not caught up but
+reported as a `Slip`.
 """
 
 from __future__ import annotations
@@ -14,46 +15,49 @@ from typing import Protocol
 
 
 class Pacer(Protocol):
-    """Decides when the next tick is due."""
+    """Scheduler of the ticks of a mock controller."""
 
     @property
     def patient(self) -> bool:
-        """Whether time waits for clients that must not lose anything; the wall clock does not."""
+        """Whether device time waits for clients that must not lose data; false in real time."""
 
     def wait_s(self) -> float | None:
-        """Wall time until the next tick: 0 when it is due, None as long as nothing permits it."""
+        """Return the wall time until the next tick [s]: 0 if due, None without a permitted tick."""
 
     def ticked(self) -> None:
-        """A tick was made."""
+        """Update the schedule after a tick."""
 
 
 OVER_S = 10.0
-"""Wall time over which the pace is averaged [s]."""
+"""Duration of wall time over which the pace is averaged [s]."""
 
 CLOSEST = 0.5
-"""Share of the time between ticks that passes at least after each. A tick that is late is caught up
-at twice the pace, not at once: some clients, such as UR's own without `--buffered`, drop all but
-the newest of the packages that they find waiting."""
+"""Minimum time between two ticks, as a share of the regular time between ticks.
+
+Late ticks are caught up at twice the regular pace instead of all at once. Some clients, such
+as UR's own client without `--buffered`, would otherwise drop all but the newest waiting
+package.
+"""
 
 SLIP_S = 0.05
-"""Wall time the schedule may be late before it is given up; what was missed is not caught up.
+"""Delay in wall time after which the schedule is reset; the missed time is not caught up [s].
 
-Catching up lets device time race: half a second late at ten times the speed were five seconds that
-pass at once, in which no client can kick a watchdog or lead an arm.
+Catching up would make device time jump. A delay of 0.5 s at ten times real time would be 5 s
+of device time at once, in which no client can reset a watchdog or lead an arm.
 """
 
 
 class RealTime:
-    """Ticks on an absolute schedule, so that lateness does not add up.
+    """Pacer with an absolute schedule, so that delays do not accumulate.
 
     Args:
-        tick_s: Device time of a tick.
+        tick_s: Device time of a tick [s].
         factor: Device seconds per second of wall time.
 
     Attributes:
-        patient: Accelerated time waits for clients; real time does not.
-        behind_s: Wall time given up since the start [s].
-        listeners: Called at each slip.
+        patient: Whether time waits for clients: true for accelerated time, false for real time.
+        behind_s: Wall time lost since the start [s].
+        listeners: Functions called at each slip.
     """
 
     def __init__(self, tick_s: float, factor: float = 1.0) -> None:
@@ -66,7 +70,7 @@ class RealTime:
 
     @property
     def pace(self) -> float:
-        """Device time passed over device time requested, over the last `OVER_S`; 1 keeps up."""
+        """Ratio of elapsed to requested device time over the last `OVER_S`; 1 means no delay."""
         now = time.monotonic()
         while self._slips and self._slips[0][0] < now - OVER_S:
             self._slips.popleft()
@@ -74,7 +78,7 @@ class RealTime:
         return max(0.0, 1.0 - lost_s / OVER_S)
 
     def change(self, factor: float) -> None:
-        """Go on at another speed."""
+        """Change the speed to `factor` device seconds per second of wall time."""
         self._spacing_s = self._tick_s / factor
         self.patient = factor > 1.0
 
@@ -100,7 +104,7 @@ class RealTime:
 
 
 class FreeRun:
-    """As fast as it goes; clients that must not lose anything hold it up."""
+    """Pacer that runs as fast as possible, delayed only by clients that must not lose data."""
 
     patient = True
 
@@ -113,10 +117,10 @@ class FreeRun:
 
 
 class LockStep:
-    """No tick without a permit: results do not depend on how busy the computer is.
+    """Pacer that needs a permit for every tick, so that results do not depend on the computer load.
 
     Attributes:
-        permitted: Ticks that may still be made.
+        permitted: Number of ticks that are still permitted.
     """
 
     patient = True
@@ -125,7 +129,7 @@ class LockStep:
         self.permitted = 0
 
     def allow(self, ticks: int) -> None:
-        """Let so many more ticks pass."""
+        """Permit a number of further ticks."""
         self.permitted += ticks
 
     def wait_s(self) -> float | None:
@@ -139,12 +143,12 @@ class LockStep:
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """Wall time that the schedule has just given up, because the computer was too slow for it.
+    """Wall time by which the schedule has just been delayed because the computer was too slow.
 
     Attributes:
-        behind_s: How much, this time [s].
-        total_s: How much since the start [s].
-        pace: Device time passed over device time requested, over the last `OVER_S`.
+        behind_s: Wall time lost in this slip [s].
+        total_s: Wall time lost since the start [s].
+        pace: Ratio of elapsed to requested device time over the last `OVER_S`.
     """
 
     behind_s: float
@@ -153,17 +157,17 @@ class Slip:
 
 
 ALARMING = 0.95
-"""Below this share of the requested pace clients may run into time-outs: the operator is warned."""
+"""Share of the requested pace below which the operator is warned, because clients may time out."""
 
 WARN_EVERY_S = 60.0
-"""Wall time between two such warnings [s]."""
+"""Minimum wall time between two warnings [s]."""
 
 
 class SlipWarning:
-    """Warns the operator of a computer that is too slow, at most once a minute.
+    """Warning to the operator that the computer is too slow, printed at most once a minute.
 
     Args:
-        say: Prints one line.
+        say: Function that prints one line.
     """
 
     def __init__(self, say: Callable[[str], object]) -> None:
@@ -171,14 +175,14 @@ class SlipWarning:
         self._next = time.monotonic()
 
     def slipped(self, slip: Slip) -> None:
-        """Print a line if the pace is alarming and the last line is long enough ago."""
+        """Print a warning if the pace is below `ALARMING` and the last warning is old enough."""
         now = time.monotonic()
         if slip.pace >= ALARMING or now < self._next:
             return
         self._next = now + WARN_EVERY_S
         self._say(
             f"behind the wall clock: device time passes at {slip.pace:.0%} of its pace, "
-            f"{slip.total_s:.1f} s were given up since the start. This computer is too busy: "
+            f"{slip.total_s:.1f} s were dropped since the start. This computer is too busy: "
             "time-outs of clients are then not protocol errors; close other programs, or use "
             "--speed 0.5"
         )

@@ -1,8 +1,8 @@
 """Pieces of a path over motion time: straight `Line`s with trapezoidal speed, and `Parabola`s.
 
-A piece's coordinates are joint angles, or a tool position and the turn of a frame. A parabola
-leads from one line to the next with constant acceleration, which is a blended corner. `Trapezoid`
-is the speed along a line: up with constant acceleration, cruise, down.
+The coordinates of a piece are joint angles, or a tool position with the rotation vector relative to
+a frame. A parabola connects two lines with constant acceleration and forms a blended corner.
+`Trapezoid` is the speed profile along a line: acceleration, cruise, deceleration.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ import numpy as np
 from hil.core import FloatArray
 
 Moment = tuple[FloatArray, FloatArray, FloatArray]
-"""Coordinates (6,), their first and second derivative by motion time."""
+"""Coordinates (6,), and their first and second derivative by motion time."""
 
 
 class Piece(Protocol):
-    """Part of a path, from its own time 0 to `duration`.
+    """Part of a path, defined for the motion time from 0 to `duration`.
 
     Attributes:
-        leg: Index of the move it belongs to.
-        duration: [s].
-        anchor: (3,) rotation vector of the frame that the coordinates turn; unused by joints.
+        leg: Index of the move that contains the piece.
+        duration: Duration of the piece [s].
+        anchor: Rotation vector of the frame in which rotations are defined, (3,); unused for
+            joints.
     """
 
     leg: int
@@ -34,31 +35,31 @@ class Piece(Protocol):
     anchor: FloatArray
 
     def at(self, t: float) -> Moment:
-        """Where it is at a time."""
+        """Return coordinates and derivatives at a motion time."""
 
     def effort(self, t: float, pace: float, change: float) -> float:
-        """Return acceleration as a share of the allowed one; at most 1 as long as the pace is 1.
+        """Return the acceleration as a share of its limit; at most 1 while the pace is 1.
 
         Args:
             t: Motion time [s].
-            pace: Motion time per time, 0 to 1.
-            change: Of the pace [1/s].
+            pace: Motion time per device time, 0 to 1.
+            change: Rate of change of the pace [1/s].
         """
 
 
 Size = Callable[[FloatArray], float]
-"""Size of a change of the six coordinates, in the unit of the way."""
+"""Function that returns the size of a change of the six coordinates, in units of path length."""
 
 
 class Line:
-    """From `start` along `direction`, by a trapezoid.
+    """Straight piece from `start` along `direction` with a trapezoidal speed profile.
 
     Args:
         leg: Index of the move.
-        start: (6,).
-        direction: (6,) change of the coordinates per unit of way.
-        profile: Way by time.
-        anchor: (3,) see `Piece`.
+        start: Coordinates at the start, (6,).
+        direction: Change of the coordinates per unit of path length, (6,).
+        profile: Profile of path length, speed and acceleration over time.
+        anchor: Rotation vector of the reference frame, (3,); see `Piece`.
     """
 
     def __init__(
@@ -73,29 +74,29 @@ class Line:
         self._start, self._direction, self._profile = start, direction, profile
 
     def at(self, t: float) -> Moment:
-        """See `Piece`."""
+        """Return coordinates and their derivatives at a motion time; see `Piece`."""
         way, speed, acceleration = self._profile.at(t)
         d = self._direction
         return self._start + way * d, speed * d, acceleration * d
 
     def effort(self, t: float, pace: float, change: float) -> float:
-        """See `Piece`."""
+        """Return the acceleration as a share of its limit; see `Piece`."""
         _, speed, acceleration = self._profile.at(t)
         return abs(acceleration * pace * pace + speed * change) / self._profile.acceleration
 
 
 class Parabola:
-    """From one line to the next with constant acceleration.
+    """Piece from one line to the next with constant acceleration.
 
     Args:
-        leg: Index of the move that it begins.
-        start: (6,).
-        entry, end: (6,) velocities at its two ends.
-        duration: [s].
-        limit: Largest size of the acceleration, in the unit of `spare`.
-        size: Size of the acceleration.
-        speed: Largest size of the velocity.
-        anchor: (3,) see `Piece`.
+        leg: Index of the move that begins with the parabola.
+        start: Coordinates at the start, (6,).
+        entry, end: Velocities at the start and at the end, (6,).
+        duration: Duration of the piece [s].
+        limit: Acceleration limit, in the unit of `size`.
+        size: Size of the acceleration of the piece.
+        speed: Largest size of the velocity in the piece.
+        anchor: Rotation vector of the reference frame, (3,); see `Piece`.
     """
 
     def __init__(
@@ -116,24 +117,24 @@ class Parabola:
         self._limit, self._size, self._speed = limit, size, speed
 
     def at(self, t: float) -> Moment:
-        """See `Piece`."""
+        """Return coordinates and their derivatives at a motion time; see `Piece`."""
         v = self._entry + t * self._acceleration
         return self._start + 0.5 * t * (self._entry + v), v, self._acceleration
 
     def effort(self, t: float, pace: float, change: float) -> float:
-        """See `Piece`; as if both parts pointed in one direction."""
+        """Return an upper bound of the acceleration share: two terms are added as if parallel."""
         return (self._size * pace * pace + self._speed * abs(change)) / self._limit
 
 
 @dataclass(frozen=True, slots=True)
 class Trapezoid:
-    """Speed up with `a`, cruise, slow down with `a`.
+    """Speed profile along a line: acceleration `a`, cruise, deceleration `a`.
 
     Attributes:
-        length: Of the way, in the unit of the path.
-        entry, peak, leaving: Speed at the beginning, on the way and at the end.
-        acceleration: Both ways.
-        rising, cruising, falling: How long each part lasts [s].
+        length: Path length, in the unit of the path.
+        entry, peak, leaving: Speed at the start, during cruise and at the end.
+        acceleration: Magnitude of acceleration and deceleration.
+        rising, cruising, falling: Duration of the three phases [s].
     """
 
     length: float
@@ -151,7 +152,7 @@ class Trapezoid:
         return self.rising + self.cruising + self.falling
 
     def at(self, t: float) -> tuple[float, float, float]:
-        """Way, speed and acceleration at a time from 0 to `duration` [s]."""
+        """Return path length, speed and acceleration at a time from 0 to `duration` [s]."""
         if t < self.rising:
             a = self.acceleration
             return t * (self.entry + 0.5 * a * t), self.entry + a * t, a
@@ -166,14 +167,14 @@ class Trapezoid:
 
 
 def trapezoid(length: float, v: float, a: float, entry: float = 0.0, end: float = 0.0) -> Trapezoid:
-    """The fastest way with a speed of at most `v` and an acceleration of at most `a`.
+    """Return the fastest speed profile with speed at most `v` and acceleration at most `a`.
 
     Args:
-        length: ≥ 0.
-        v: > 0.
-        a: > 0.
-        entry: Speed at the beginning, at most `v`.
-        end: Speed at the end, at most `v`; `a` suffices to get there.
+        length: Path length, ≥ 0.
+        v: Maximum speed, > 0.
+        a: Maximum acceleration, > 0.
+        entry: Speed at the start, at most `v`.
+        end: Speed at the end, at most `v`; must be reachable with `a`.
     """
     highest = sqrt(max(0.0, a * length + 0.5 * (entry**2 + end**2)))
     peak = max(min(v, highest), entry, end)
@@ -184,29 +185,32 @@ def trapezoid(length: float, v: float, a: float, entry: float = 0.0, end: float 
 
 
 PEAK_OF_MEAN, RAMP_SHARE = 1.5, 1 / 3
-"""Of a motion of given duration: a third of it speeds up, a third cruises, a third slows down."""
+"""Profile of a motion with given duration: equal thirds for acceleration, cruise and
+deceleration.
+"""
 
 
 def pace_for_duration(length: float, duration_s: float) -> tuple[float, float]:
-    """Speed and acceleration with which a way from rest to rest takes so long [s]."""
+    """Return speed and acceleration of a motion from rest to rest with given duration [s]."""
     v = PEAK_OF_MEAN * length / duration_s
     return v, v / (RAMP_SHARE * duration_s)
 
 
 def joint_size(change: FloatArray) -> float:
-    """Of the leading axis [rad]."""
+    """Return the change of the joint that moves most [rad]."""
     return float(np.abs(change).max())
 
 
 TURN_RAD_M = 4.0
-"""A tool turns with four times as many rad/s and rad/s² as it moves with m/s and m/s².
+"""Ratio of rotation to translation of a tool: rad/s and rad/s² are four times m/s and m/s².
 
-Source: Universal Robots forum, thread 15912, "movel tool angular speed".
+Source: The source of this ratio is the Universal Robots forum, thread 15912, "movel tool
+angular speed".
 """
 
 
 def tool_size(change: FloatArray) -> float:
-    """Way of the tool [m], or a quarter of its turn [rad] where that is more."""
+    """Return the larger of the path length of the tool [m] and a quarter of its rotation [rad]."""
     x, y, z, rx, ry, rz = change.tolist()
     turn = rx * rx + ry * ry + rz * rz
     return sqrt(max(x * x + y * y + z * z, turn / TURN_RAD_M**2))

@@ -1,9 +1,10 @@
-"""Robot programs: what they are made of, whether a script or the control script of `ur-rtde`.
+"""Building blocks of robot programs, for scripts and for the control script of `ur-rtde`.
 
-`Threaded` runs the threads of a program, one step a tick, of which one at a time moves the arm. The
-rest is what its steps call: moves and stops until they are over (`follow`, `stop_joints`), settings
-with the controller's own checks (`set_payload`, `set_tcp`, `set_watchdog`), `Registers` shared with
-clients, the word that reports an asynchronous `Operation`, and contacts (`Touch`).
+`Threaded` runs the threads of a program, one step per tick; only one thread at a time moves the
+arm. The other functions are steps of a thread: moves and stops until they are over (`follow`,
+`stop_joints`), settings with the checks of the controller (`set_payload`, `set_tcp`,
+`set_watchdog`), `Registers` shared with clients, the register that reports an asynchronous
+`Operation`, and contacts (`Touch`).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from hil_mock_robot.ur.routes import Leg
 from hil_mock_robot.ur.script_errors import place_of
 
 Steps = Generator[None, None, None]
-"""A thread of a program: it yields where URScript waits for the next tick."""
+"""Thread of a program: a generator that yields when URScript waits for the next tick."""
 
 M = TypeVar("M", bound=Motion)
 MAIN = "main"
@@ -35,15 +36,15 @@ HAND_GUIDED = "The robot cannot move by itself while it is guided by hand"
 
 
 class Threaded:
-    """A `Program` of threads; the first one is the generator `main`.
+    """`Program` that consists of threads; the first thread is the generator `main`.
 
     Args:
-        name: What its `def` calls it.
-        patient: Whether it may wait for ticks and move; a secondary program may not.
+        name: Name in the `def` of the program.
+        patient: Whether the program can wait for ticks and move; false for a secondary program.
 
     Attributes:
-        machine: Known from `begin` on.
-        hand_guided: Whether people may push the arm around, which keeps it from moving itself.
+        machine: Controller that plays the program; set by `begin`.
+        hand_guided: Whether the arm can be moved by hand, which prevents programmed motions.
     """
 
     machine: Machine
@@ -57,7 +58,7 @@ class Threaded:
         self._resumed = False
 
     def main(self) -> Steps:
-        """The first thread; the program is over when it is."""
+        """Run the first thread; the program is over when this thread ends."""
         raise NotImplementedError
 
     def begin(self, machine: Machine) -> None:
@@ -66,7 +67,7 @@ class Threaded:
         self.run(MAIN, self.main())
 
     def tick(self, machine: Machine) -> bool:
-        """See `Program`; threads that are started in a tick have their first turn in it."""
+        """Run one step of every thread; threads started in a tick run their first step in it."""
         self._resumed = self._ticked >= 0 and machine.ticks - self._ticked > 1
         self._ticked = machine.ticks
         served: set[str] = set()
@@ -85,10 +86,10 @@ class Threaded:
         self._controlling = ""
 
     def run_at_once(self, machine: Machine) -> None:
-        """Run the program up to its first wait, beside the one that plays.
+        """Run the program up to its first wait, beside the playing program.
 
         Raises:
-            CommandRefused: A runtime error.
+            CommandRefused: The program raised a runtime error.
         """
         self.begin(machine)
         try:
@@ -97,15 +98,15 @@ class Threaded:
             self.end(machine)
 
     def run(self, name: str, steps: Steps) -> None:
-        """Start a thread."""
+        """Start a thread under a name."""
         self._threads[name] = steps
 
     def runs(self, name: str) -> bool:
-        """Whether there is such a thread."""
+        """Return whether a thread with a name runs."""
         return name in self._threads
 
     def kill(self, name: str) -> None:
-        """End a thread, if it runs; its motion comes to rest unless another thread goes on."""
+        """End a thread, if it runs; a motion of this thread comes to rest."""
         thread = self._threads.pop(name, None)
         if thread is not None:
             moving = self._controlling == name
@@ -115,10 +116,11 @@ class Threaded:
 
     @contextmanager
     def control(self) -> Iterator[None]:
-        """Be the thread that moves the arm.
+        """Reserve the control of the arm for the present thread inside the block.
 
         Raises:
-            CommandRefused: Another thread is, the arm is guided by hand, or nothing may move it.
+            CommandRefused: Another thread controls the arm, the arm is guided by hand, or the
+                program is a secondary program.
         """
         if not self.patient:
             raise CommandRefused(IMPATIENT)
@@ -143,8 +145,8 @@ class Threaded:
         """Move the arm until the motion is over.
 
         Args:
-            make: The motion; called again after a pause, which had stopped it.
-            watch: Called in every tick.
+            make: Constructor of the motion; called again after a pause, which stops the motion.
+            watch: Function called with the motion in every tick.
         """
         with self.control():
             again = True
@@ -172,12 +174,13 @@ class Threaded:
 def follow(
     program: Threaded, legs: Sequence[Leg], reached: Callable[[int], None] = lambda _: None
 ) -> Steps:
-    """Move along a path until its end; a pause is gone on from with the move it fell into.
+    """Move along a path until its end; after a pause, continue with the interrupted move.
 
     Args:
-        program: Whose.
-        legs: Its moves.
-        reached: Called with the index of each move as it begins; blends belong to the later one.
+        program: Program that moves the arm.
+        legs: Moves of the path.
+        reached: Function called with the index of each move when it begins; a blend belongs to the
+            later move.
     """
     machine, begun, first = program.machine, -1, 0
 
@@ -198,10 +201,10 @@ def follow(
 
 
 LEAST_STOP = 1e-3
-"""What comes to rest sooner or later, whatever deceleration was asked for."""
+"""Minimum deceleration of a stop, so that every stop ends [m/s² or rad/s²]."""
 
 FARTHEST = 1e3
-"""Metres and radians beyond which no pose is looked at."""
+"""Magnitude [m or rad] beyond which a pose is refused without a search."""
 
 STEADY_RAD_S = 1e-3
 NO_SOLUTION = "get_inverse_kin: unable to find an inverse kinematics solution"
@@ -213,16 +216,16 @@ def joints_of(
     near: FloatArray | None = None,
     errors: tuple[float, float] = (1e-9, 1e-9),
 ) -> FloatArray:
-    """(6,) joint angles that bring the TCP to a pose, the nearest to `near` or to where it is.
+    """Return the joint angles (6,) of a TCP pose, nearest to `near` or to the present set-point.
 
     Args:
-        machine: Whose arm and TCP.
-        pose: (6,).
-        near: (6,) [rad].
-        errors: Largest position [m] and orientation error [rad].
+        machine: Controller with arm and TCP.
+        pose: Target pose of the TCP, (6,).
+        near: Reference joint angles, (6,) [rad].
+        errors: Maximum position [m] and orientation error [rad].
 
     Raises:
-        CommandRefused: The arm does not reach it.
+        CommandRefused: The arm cannot reach the pose.
     """
     start = machine.setpoint[0] if near is None else near
     if max(np.abs(pose).max(), np.abs(start).max()) > FARTHEST:
@@ -238,60 +241,63 @@ def joints_of(
 
 
 def within_limits(machine: Machine, q: Sequence[float] | FloatArray) -> bool:
-    """Whether the joints may turn so far."""
+    """Return whether the joint angles are within the joint limits."""
     arm = machine.body.arm
     return bool(((arm.q_min <= q) & (q <= arm.q_max)).all())
 
 
 def pose_at(machine: Machine, q: Numbers) -> FloatArray:
-    """(6,) where the TCP is with joint angles (6,)."""
+    """Return the TCP pose (6,) at joint angles (6,)."""
     return pose_of(machine.body.arm, q, machine.tcp)
 
 
 def speed_motion(machine: Machine, *, linear: bool) -> SpeedJ | SpeedL:
-    """Return a motion that keeps the joints, or the TCP, at a speed."""
+    """Return a motion with constant TCP velocity (`linear`) or constant joint speeds."""
     if linear:
         return SpeedL(machine.body.arm, machine.tcp, machine.tick_s)
     return SpeedJ(machine.tick_s, machine.body.arm)
 
 
 def stop_joints(program: Threaded, deceleration: float) -> Steps:
-    """URScript `stopj`, until the arm is at rest."""
+    """Stop the joints as in URScript `stopj`, until the arm is at rest."""
     rate = max(abs(deceleration), LEAST_STOP)
     return program.drive(lambda: StopJoints(rate, program.machine.tick_s))
 
 
 def stop_line(program: Threaded, deceleration: float) -> Steps:
-    """URScript `stopl`, until the arm is at rest."""
+    """Stop the tool as in URScript `stopl`, until the arm is at rest."""
     machine, rate = program.machine, max(abs(deceleration), LEAST_STOP)
     return program.drive(lambda: StopL(machine.body.arm, machine.tcp, rate, machine.tick_s))
 
 
 def joint_torques(machine: Machine) -> FloatArray:
-    """Return (6,) torque of the motors beyond that of the controller's model [N·m]."""
+    """Return the motor torque (6,) that the controller's model does not explain [N·m]."""
     beyond = machine.reading.current - machine.reading.current_target
     return np.nan_to_num(machine.body.arm.drive_gains * beyond)
 
 
 def is_steady(machine: Machine) -> bool:
-    """Whether nothing moves, nor is about to."""
+    """Return whether the commanded and the true joint speeds are zero, within `STEADY_RAD_S`."""
     commanded = bool(machine.setpoint[1].any())
     return not commanded and bool(np.abs(machine.reading.true_qd).max() < STEADY_RAD_S)
 
 
 HEAVIEST = 2.0
-"""Largest payload that is taken, as a share of the rated one."""
+"""Maximum accepted payload, as a multiple of the rated payload."""
 
 FARTHEST_M = 4.0
 LEAST_KG = 1e-6
 
 LEAST_INERTIA, LARGEST_INERTIA = 1e-9, 133.0
-"""[kg·m²]; the largest is the URScript manual's."""
+"""Tolerance and maximum of moments of inertia [kg·m²]; the maximum is that of the URScript
+manual.
+"""
 
 ACTIONS = ("ignore", "pause", "stop")
 
 LEAST_PER_TICK = 1e-9
-"""Of a watchdog, which does not bite in anybody's lifetime then."""
+"""Minimum frequency of a watchdog, in writes per tick; a watchdog with this frequency practically
+never expires."""
 
 
 def set_payload(
@@ -300,16 +306,16 @@ def set_payload(
     com: Sequence[float] | None = None,
     inertia: Sequence[float] | None = None,
 ) -> None:
-    """Declare a load.
+    """Declare a payload.
 
     Args:
-        machine: To whom.
-        mass: [kg].
-        com: (3,) centre of mass in the flange frame [m]; the present one when None.
-        inertia: (6,) about it [kg·m²]; zero when None.
+        machine: Controller to which the payload is declared.
+        mass: Mass [kg].
+        com: Centre of mass in the flange frame, (3,) [m]; None for the present centre of mass.
+        inertia: Inertia about the centre of mass, (6,) [kg·m²]; None for zero.
 
     Raises:
-        CommandRefused: It cannot be.
+        CommandRefused: Mass, centre of mass or inertia is out of range.
     """
     if not 0 <= mass <= HEAVIEST * machine.body.arm.payload_max_kg:
         raise CommandRefused(f"set_payload: mass {mass:g} kg is out of range")
@@ -322,7 +328,12 @@ def set_payload(
 
 
 def _inertia(values: Sequence[float]) -> tuple[float, float, float, float, float, float]:
-    """Return an inertia that a rigid body can have: no moment above the sum of the two others."""
+    """Return the inertia if it is physically consistent.
+
+    Raises:
+        CommandRefused: A principal moment is negative, above the sum of the other two, or above
+            `LARGEST_INERTIA`.
+    """
     xx, yy, zz, xy, xz, yz = values
     small, middle, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if small < -LEAST_INERTIA or large > small + middle + LEAST_INERTIA or large > LARGEST_INERTIA:
@@ -334,7 +345,7 @@ def set_tcp(machine: Machine, pose: Sequence[float]) -> None:
     """Set the tool centre point, (6,) in the flange frame.
 
     Raises:
-        CommandRefused: It cannot be there.
+        CommandRefused: The pose does not consist of six finite numbers.
     """
     if len(pose) != 6 or not all(map(math.isfinite, pose)):
         raise CommandRefused("set_tcp: a pose of six numbers is needed")
@@ -342,22 +353,22 @@ def set_tcp(machine: Machine, pose: Sequence[float]) -> None:
 
 
 def set_watchdog(machine: Machine, variable: str, least_hz: float, action: str) -> None:
-    """URScript `rtde_set_watchdog`, which counts from now on; a frequency of zero ends it.
+    """Set the watchdog of URScript `rtde_set_watchdog`, starting now; frequency 0 removes it.
 
     Args:
-        machine: Whose program is watched.
-        variable: The input that has to be written.
-        least_hz: How often at least [Hz].
-        action: One of `ACTIONS`, in small or capital letters: UR's own example writes capitals.
+        machine: Controller whose program is monitored.
+        variable: Input that must be written.
+        least_hz: Minimum write frequency [Hz].
+        action: One of `ACTIONS` in lower or upper case; UR's example uses upper case.
 
     Raises:
-        CommandRefused: There is no such input, no such action, or that is no frequency.
+        CommandRefused: The input or the action does not exist, or the frequency is not finite.
     """
     action = action.lower()
     if variable not in machine.inputs or action not in ACTIONS:
         raise CommandRefused(f"rtde_set_watchdog: no input {variable!r}, or no action {action!r}")
     if not math.isfinite(least_hz):
-        raise CommandRefused(f"rtde_set_watchdog: {least_hz} is no frequency")
+        raise CommandRefused(f"rtde_set_watchdog: {least_hz} is not a frequency")
     if least_hz <= 0 or action == "ignore":
         machine.watchdog = None
         return
@@ -369,18 +380,19 @@ def set_watchdog(machine: Machine, variable: str, least_hz: float, action: str) 
 INT32 = 2**31
 
 LARGEST = 1e9
-"""What no pose, speed or force is beyond: larger numbers only overflow."""
+"""Maximum magnitude of a pose coordinate, speed or force in a register; larger numbers only
+cause overflow."""
 
 
 class Registers:
     """Input registers to read and output registers to write, from number `offset` on.
 
     Args:
-        machine: Whose registers.
-        offset: 0, or 24 for the upper range.
+        machine: Controller with the registers.
+        offset: First register: 0, or 24 for the upper range.
 
     Raises:
-        CommandRefused: This software has no upper range.
+        CommandRefused: The simulated software has no upper range of registers.
     """
 
     def __init__(self, machine: Machine, offset: int = 0) -> None:
@@ -395,14 +407,14 @@ class Registers:
         self._doubles = self._in.variables[f"input_double_register_{offset}"].offset
 
     def integer(self, number: int) -> int:
-        """An integer that a client has written."""
+        """Return an integer that a client has written."""
         return int(self._in.flat[self._ints + number])
 
     def double(self, number: int) -> float:
-        """A number that a client has written.
+        """Return a number that a client has written.
 
         Raises:
-            CommandRefused: It is too large for any physical quantity, or no number at all.
+            CommandRefused: The magnitude is above `LARGEST`, or the value is NaN.
         """
         value = float(self._in.flat[self._doubles + number])
         if not abs(value) <= LARGEST:
@@ -410,14 +422,14 @@ class Registers:
         return value
 
     def doubles(self, first: int, count: int = 6) -> FloatArray:
-        """(count,) numbers that a client has written; see `double`."""
+        """Return `count` consecutive numbers that a client has written; see `double`."""
         return np.array([self.double(first + i) for i in range(count)])
 
     def put_integer(self, number: int, value: int) -> None:
-        """Write an integer register for clients.
+        """Write an output integer register.
 
         Raises:
-            CommandRefused: There is no such register, or it does not hold such a value.
+            CommandRefused: The register does not exist, or the value exceeds 32 bits.
         """
         name = f"output_int_register_{self.offset + number}"
         if name not in self._out or not -INT32 <= value < INT32:
@@ -425,10 +437,10 @@ class Registers:
         self._out[name] = int(value)
 
     def put_doubles(self, first: int, values: Iterable[float]) -> None:
-        """Write number registers for clients.
+        """Write consecutive output double registers.
 
         Raises:
-            CommandRefused: There is no such register.
+            CommandRefused: A register does not exist.
         """
         for number, value in enumerate(values, self.offset + first):
             name = f"output_double_register_{number}"
@@ -442,10 +454,13 @@ RUNNING = 1 << 15
 
 
 class Operation:
-    """Bits 0–14 progress, 15 running, 16–23 count of changes, 24–30 number of the operation.
+    """State of an asynchronous operation, reported in one integer register.
+
+    Bits 0–14 contain the progress, bit 15 the running flag, bits 16–23 the count of changes, and
+    bits 24–30 the number of the operation.
 
     Args:
-        registers: Where it is reported, in integer 2.
+        registers: Registers of the program; the state is written to output integer register 2.
     """
 
     def __init__(self, registers: Registers) -> None:
@@ -454,17 +469,17 @@ class Operation:
         self.finish()
 
     def start(self) -> None:
-        """Another operation begins."""
+        """Report the start of a new operation."""
         self.progress(0)
 
     def progress(self, value: int) -> None:
-        """It has come to `value`; 0 counts as another operation, as in the script."""
+        """Report the progress `value`; as in the script, the value 0 counts as a new operation."""
         if value == 0:
             self._number = (self._number + 1) % (LARGEST_COUNT + 1)
         self._tell(RUNNING + min(value, MOST_PROGRESS))
 
     def finish(self) -> None:
-        """None is under way."""
+        """Report that no operation is running."""
         self._tell(0)
 
     def _tell(self, rest: int) -> None:
@@ -473,18 +488,20 @@ class Operation:
 
 
 SINCE = (None, (5, 4))
-"""Software that can tell contacts and the joints' past."""
+"""First software with contact detection and joint position history: none on CB3, 5.4 on
+e-Series.
+"""
 
 LEAST_FORCE_N = 10.0
 REMEMBERED_S = 2.0
 
 
 class Touch:
-    """Detects contacts, once a tick; software without that function detects none.
+    """Contact detector, called once per tick; older software (`SINCE`) never detects a contact.
 
     Attributes:
-        force: (3,) on the tool in the base frame, None when nothing pushes [N].
-        ticks: Since when something pushes.
+        force: External force on the tool in the base frame, (3,) [N]; None if there is no force.
+        ticks: Number of ticks since the force began.
     """
 
     def __init__(self) -> None:
@@ -493,7 +510,7 @@ class Touch:
         self._past: deque[FloatArray] = deque()
 
     def look(self, machine: Machine) -> None:
-        """Note joint positions and external torques."""
+        """Record joint positions and the external force of this tick."""
         if not machine.series.at_least(*SINCE):
             return
         self._past.append(machine.reading.q)
@@ -503,17 +520,20 @@ class Touch:
         self.ticks = self.ticks + 1 if self.force is not None else 0
 
     def along(self, direction: FloatArray) -> int:
-        """Ticks since the tool met something on its way, 0 when it has not.
+        """Return the ticks since a force opposes the motion of the tool.
+
+        The returned number is 0 if there is no such force.
 
         Args:
-            direction: (6,) of the way, of which the translation counts; zero for any.
+            direction: Direction of motion, (6,), of which only the translation counts; zero for any
+                direction.
         """
         if self.force is None or (direction[:3].any() and direction[:3] @ self.force >= 0):
             return 0
         return min(self.ticks, len(self._past) - 1)
 
     def past(self, ticks: int) -> FloatArray | None:
-        """(6,) joint angles so many ticks ago [rad]; None when that is too long ago."""
+        """Return the joint angles (6,) of `ticks` ticks ago [rad]; None if they are not stored."""
         if not 0 <= ticks < len(self._past):
             return None
         return self._past[-1 - ticks]

@@ -1,8 +1,8 @@
-"""Routes: moves as a program commands them, laid out as the pieces of path that follow.
+"""Routes: conversion of the moves of a program into the pieces of a path.
 
-`Leg` is one `movej`, `movel` or `movep`. `joint_route` and `tool_route` turn legs into straight
-stretches of joint or tool coordinates, find how fast each corner with a blend radius may be taken,
-and join them as `path_pieces`. A motion that cannot be ends in `MotionImpossible`.
+A `Leg` is one `movej`, `movel` or `movep`. `joint_route` and `tool_route` convert legs into
+straight segments in joint or tool coordinates, compute the maximum speed of each blended corner,
+and join segments and corners as `path_pieces`. An impossible motion raises `MotionImpossible`.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ from hil_mock_robot.ur.path_pieces import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leg:
-    """One `movej`, `movel` or `movep`.
+    """Single `movej`, `movel` or `movep`.
 
     Attributes:
-        kind: `j` leads straight in joint space, `l` and `p` in tool space.
-        target: (6,) joint position [rad], or a pose.
-        v, a: Of the leading axis [rad/s, rad/s²], or of the tool [m/s, m/s²].
+        kind: Kind of the move: `j` is straight in joint space, `l` and `p` in tool space.
+        target: Joint position [rad] or pose, (6,).
+        v, a: Speed and acceleration of the leading axis [rad/s, rad/s²] or of the tool [m/s, m/s²].
         radius: Blend radius at the target [m].
-        time_s: How long it takes from rest to rest, in place of `v` and `a`, unless 0.
+        time_s: Duration from rest to rest, which replaces `v` and `a` unless it is 0 [s].
         is_pose: Whether `target` is a pose.
     """
 
@@ -63,7 +63,7 @@ class Leg:
 
     @property
     def joint_space(self) -> bool:
-        """Whether its way is straight in joint space."""
+        """Whether the path is straight in joint space."""
         return self.kind == "j"
 
 
@@ -72,8 +72,8 @@ class Site:
     """Arm and tool of the moves.
 
     Attributes:
-        arm: Its lengths and limits; None for joint moves without limits.
-        tcp: (6,) tool in the flange frame.
+        arm: Arm with its lengths and limits; None for joint moves without limits.
+        tcp: Tool in the flange frame, (6,).
     """
 
     arm: ArmDescription | None = None
@@ -84,15 +84,18 @@ class Site:
         """Arm and tool.
 
         Raises:
-            MotionImpossible: No arm was named, and this needs one.
+            MotionImpossible: No arm was specified, although the move needs an arm.
         """
         if self.arm is None:
-            raise MotionImpossible("a pose without an arm leads nowhere")
+            raise MotionImpossible("a pose as target needs an arm")
         return self.arm, np.zeros(6) if self.tcp is None else self.tcp
 
 
 def blendable(legs: Sequence[Leg]) -> int:
-    """How many legs at the front can be blended: those in the same space as the first."""
+    """Return the number of initial legs that move in the same space as the first leg.
+
+    Only consecutive legs in the same space can be blended.
+    """
     kind = legs[0].joint_space
     return next((i for i, leg in enumerate(legs) if leg.joint_space != kind), len(legs))
 
@@ -101,16 +104,16 @@ LEAST_WAY = 1e-9
 
 
 def joint_route(site: Site, legs: Sequence[Leg], first: int, q: FloatArray) -> list[Piece]:
-    """Pieces of moves that are straight in joint space.
+    """Return the pieces of moves that are straight in joint space.
 
     Args:
-        site: Whose.
-        legs: The moves.
-        first: Index of the first of them.
-        q: (6,) where the arm stands [rad].
+        site: Arm and tool of the moves.
+        legs: Moves to convert to pieces of a path.
+        first: Index in the path of the first of the moves to convert.
+        q: Joint position at the start, (6,) [rad].
 
     Raises:
-        MotionImpossible: A target lies beyond the joint limits or out of reach.
+        MotionImpossible: A target is beyond the joint limits or out of reach.
     """
     stretches, radii, at = [], [], q
     for i, leg in enumerate(legs):
@@ -134,7 +137,7 @@ def _require_numbers(leg: Leg) -> None:
     values = np.array([*leg.target, leg.v, leg.a, leg.radius, leg.time_s])
     if not np.isfinite(values).all() or (leg.time_s <= 0.0 and min(leg.v, leg.a) <= 0.0):
         raise MotionImpossible(
-            f"move{leg.kind}: a speed of {leg.v:g} and an acceleration of {leg.a:g} lead nowhere",
+            f"move{leg.kind}: invalid speed {leg.v:g} or acceleration {leg.a:g}",
             hint="both must be greater than 0, and all numbers finite",
         )
 
@@ -158,7 +161,7 @@ def _joints_of(site: Site, leg: Leg, near: FloatArray) -> FloatArray:
 def _limited(
     arm: ArmDescription | None, direction: FloatArray, v: float, a: float
 ) -> tuple[float, float]:
-    """No joint beyond the arm's own speed and acceleration."""
+    """Return `v` and `a` reduced so that no joint exceeds its speed and acceleration limits."""
     if arm is None:
         return v, a
     shares = np.maximum(np.abs(direction), 1e-12)
@@ -187,7 +190,7 @@ def _joint_corner(site: Site, first: Stretch, second: Stretch, radius: float) ->
 
 
 def tool_route(site: Site, legs: Sequence[Leg], first: int, q: FloatArray) -> list[Piece]:
-    """Pieces of moves that are straight for the tool; see `joint_route`."""
+    """Return the pieces of moves that are straight in tool space; see `joint_route`."""
     arm, tcp = site.known
     stretches, radii, at = [], [], pose_of(arm, q, tcp)
     for i, leg in enumerate(legs):
@@ -221,15 +224,15 @@ def _tool_corner(first: Stretch, second: Stretch, radius: float) -> Corner:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """One straight move between two waypoints.
+    """Straight segment of a move between two waypoints.
 
     Attributes:
         leg: Index of the move in its path.
-        start: (6,) coordinates of the waypoint it begins at.
-        direction: (6,) change of the coordinates per unit of way.
-        length: Of the way.
-        v, a: Highest speed and acceleration along it.
-        anchor: (3,) rotation vector of the frame it begins at; its coordinates turn that frame.
+        start: Coordinates of the waypoint at the start, (6,).
+        direction: Change of the coordinates per unit of path length, (6,).
+        length: Path length.
+        v, a: Maximum speed and acceleration along the move.
+        anchor: Rotation vector of the frame at the start, (3,); the coordinates rotate this frame.
     """
 
     leg: int
@@ -243,11 +246,12 @@ class Stretch:
 
 @dataclass(slots=True)
 class Corner:
-    """Where a move gives way to the next: both straight parts end that far from the waypoint.
+    """Blend between two consecutive moves.
 
     Attributes:
-        before, after: Ways that the blend takes from both moves, both 0 for a stop.
-        entry, end: Speeds along both moves at the blend's ends.
+        before, after: Path lengths that the blend replaces in both moves; both are 0 if the arm
+            stops between the moves.
+        entry, end: Speeds along the two moves at the start and at the end of the blend.
     """
 
     before: float = 0.0
@@ -257,11 +261,11 @@ class Corner:
 
     @property
     def ratio(self) -> float:
-        """Of the two speeds, so that one parabola joins both."""
+        """Ratio of the two speeds for which a single parabola joins the two moves."""
         return self.after / self.before
 
     def slow_to(self, entry: float) -> None:
-        """Take it no faster than this."""
+        """Reduce the entry speed to at most `entry`."""
         if self.before > 0.0 and entry < self.entry:
             self.entry, self.end = entry, entry * self.ratio
 
@@ -269,12 +273,13 @@ class Corner:
 def join_stretches(
     stretches: Sequence[Stretch], corners: Sequence[Corner], size: Size
 ) -> list[Piece]:
-    """The pieces of a path from rest to rest.
+    """Return the pieces of a path from rest to rest.
 
     Args:
-        stretches: n ≥ 1 moves.
-        corners: n - 1 of them, with their ways; speeds are set here.
-        size: Of a change of coordinates.
+        stretches: n ≥ 1 straight moves.
+        corners: Blended corners between the n moves, n - 1 in number; this function sets the speeds
+            of the corners.
+        size: Function for the size of a change of coordinates.
     """
     _limit_by_curvature(stretches, corners, size)
     _limit_by_braking(stretches, corners)
@@ -294,7 +299,10 @@ def join_stretches(
 def _limit_by_curvature(
     stretches: Sequence[Stretch], corners: Sequence[Corner], size: Size
 ) -> None:
-    """The acceleration in a blend is (end - entry) / duration, and duration 2 · before / entry."""
+    """Limit the corner speeds by the acceleration in the blend.
+
+    The acceleration is (end - entry) / duration, and the duration is 2 · before / entry.
+    """
     for corner, (first, second) in zip(corners, pairwise(stretches), strict=True):
         if min(corner.before, corner.after) <= 0.0:
             corner.before = corner.after = 0.0
@@ -307,7 +315,7 @@ def _limit_by_curvature(
 
 
 def _limit_by_braking(stretches: Sequence[Stretch], corners: Sequence[Corner]) -> None:
-    """Every corner can be slowed down to from the one before, and reached from it."""
+    """Limit the corner speeds so that each speed is reachable from the neighbouring corners."""
     end = 0.0
     for i in reversed(range(len(corners))):
         after = stretches[i + 1]
@@ -352,12 +360,14 @@ BISECTIONS = 24
 
 
 def extent(distance: Callable[[float], float], radius: float, length: float) -> float:
-    """How far from a waypoint the tool is `radius` away from it; at most half the move.
+    """Return the path length from a waypoint to where the tool is `radius` away from it.
+
+    The returned path length is at most half the length of the move.
 
     Args:
-        distance: Of the tool from the waypoint [m], by way from it.
-        radius: [m].
-        length: Of the move.
+        distance: Function from path length to the distance of the tool from the waypoint [m].
+        radius: Blend radius [m].
+        length: Path length of the move.
     """
     low, high = 0.0, 0.5 * length
     if distance(high) <= radius:

@@ -1,11 +1,12 @@
-"""RTDE, port 30004: clients choose the outputs of every tick, and the inputs that they write.
+"""RTDE server of the mock (port 30004): clients select outputs per tick and inputs to write.
 
-`RtdeSession` is one client: its recipes, whether it has started, what it sends. `Ownership` lets
-only one client at a time write an input. What an input does besides lying in a register (masked
-outputs, the speed slider) takes effect when a package with a variable of its group comes.
+`RtdeSession` is the session of one client, with recipes, state and sent packages. `Ownership`
+ensures that only one client at a time writes an input. Some inputs have an effect beyond their
+register (masked outputs, the speed slider). The effect of an input occurs when a package with a
+variable of the same group arrives.
 
-Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide". What the guide leaves open is in
-docs/reference/mock-ur-rtde.md.
+The source is Universal Robots, "Real-Time Data Exchange (RTDE) Guide". Behaviour that the guide
+does not specify is described in docs/reference/mock-ur-rtde.md.
 """
 
 from __future__ import annotations
@@ -33,15 +34,16 @@ from hil_mock_robot.ur.rtde_wire import (
 
 
 class RtdeService:
-    """Listens for RTDE clients.
+    """Service for RTDE clients.
 
     Args:
-        machine: Whose values they get.
+        machine: Controller whose variables the clients read and write.
 
     Attributes:
         owners: Owner of each input.
-        sessions: Clients that are connected.
-        dropped: Reason → how many packages of all clients were dropped for it.
+        sessions: Sessions of the connected clients.
+        dropped: Map from reason to the number of packages of all clients that were dropped for this
+            reason.
     """
 
     port = 30004
@@ -53,7 +55,7 @@ class RtdeService:
         self.dropped: Counter[str] = Counter()
 
     def accept(self, link: Link) -> RtdeSession:
-        """See `Service`."""
+        """Return the session of a new client; see `Service`."""
         session = RtdeSession(self, self.machine.line.over(link))
         self.sessions.append(session)
         return session
@@ -66,10 +68,10 @@ class RtdeService:
 PROTOCOLS = (1, 2)
 
 PROTOCOL_1_HZ = 125.0
-"""The only rate of protocol version 1."""
+"""Fixed rate of protocol version 1 [Hz]."""
 
 LEAST_HZ = 1e-3
-"""Nobody waits longer than that for a package; what is asked for below is a mistake."""
+"""Minimum accepted rate [Hz]; a lower request is considered a mistake of the client."""
 
 MOST_RECIPES = 255
 OUTPUT_RECIPE = 1
@@ -79,16 +81,17 @@ Effect = Callable[["Machine"], None]
 
 
 class RtdeSession:
-    """The conversation with one client.
+    """Session of one RTDE client.
 
     Args:
-        service: Which it is connected to.
-        link: The way to it.
+        service: Service of the session.
+        link: Connection to the client.
 
     Attributes:
-        protocol: Version of the protocol; 1 until it asks for another.
-        started: Whether it gets data.
-        dropped: Reason → how many of its packages were dropped for it.
+        protocol: Version of the protocol; 1 until the client requests a different version.
+        started: Whether the client receives data.
+        dropped: Map from reason to the number of packages of this client that were dropped for this
+            reason.
     """
 
     def __init__(self, service: RtdeService, link: Link) -> None:
@@ -113,7 +116,7 @@ class RtdeSession:
 
     @property
     def lossless(self) -> bool:
-        """Whether the client has started, and gets every package; see `Session`."""
+        """Whether the client has started and must receive every package; see `Session`."""
         return self.started
 
     def received(self, data: bytes) -> None:
@@ -129,7 +132,7 @@ class RtdeSession:
             if self._link.closed:
                 return
         if self._framer.lost:
-            self._drop("a package shorter than its header: the connection is of no use any more")
+            self._drop("a package shorter than its header: the connection is closed")
             self._link.close()
 
     def ticked(self) -> None:
@@ -138,20 +141,20 @@ class RtdeSession:
             self._link.send(self._output.pack(self._machine.outputs))
 
     def hung_up(self) -> None:
-        """See `Session`; its inputs keep their values, but are free for others."""
+        """Handle the end of the connection; the inputs keep their values and become free."""
         self.started = False
         self._service.owners.release(self)
         if self in self._service.sessions:
             self._service.sessions.remove(self)
 
     def hang_up(self) -> None:
-        """End the connection from our side."""
+        """Close the connection from the server side."""
         self._link.close()
 
     def say(self, level: Level, source: str, text: str) -> bool:
-        """Send a text message to this client, if it has started.
+        """Send a text message to this client if it has started data; return whether it has started.
 
-        Before that clients take the next package for the reply they wait for.
+        Before the start, a client would take the message for the reply that the client awaits.
         """
         if self.started:
             self._link.send(text_message(self.protocol, level, source, text))
@@ -171,11 +174,11 @@ class RtdeSession:
         return struct.pack(">4I", *self._machine.series.version)
 
     def _listen(self, payload: bytes) -> bytes | None:
-        told = parsed_text(self.protocol, payload)
-        if told is None:
-            self._drop("a text message that is none")
+        message = parsed_text(self.protocol, payload)
+        if message is None:
+            self._drop("an invalid text message")
             return None
-        level, source, text = told
+        level, source, text = message
         self._machine.tell("client_message", source, text, int(level))
         return None
 
@@ -198,7 +201,7 @@ class RtdeSession:
         return self._recipe(OUTPUT_RECIPE, types)
 
     def _recipe(self, number: int, types: list[str]) -> bytes:
-        """Return the reply to a set-up of outputs; version 1 has no ids there."""
+        """Return the reply to an output set-up; in protocol version 1 it has no recipe number."""
         return (b"" if self.protocol == 1 else bytes([number])) + ",".join(types).encode()
 
     def _set_up_inputs(self, payload: bytes) -> bytes:
@@ -242,7 +245,7 @@ class RtdeSession:
             effect(self._machine)
 
     def _drop(self, why: str) -> None:
-        """Count a package that cannot be understood; each client gets each reason once."""
+        """Count an invalid package; report each reason once to the client."""
         self.dropped[why] += 1
         self._service.dropped[why] += 1
         if self.dropped[why] == 1:
@@ -252,29 +255,29 @@ class RtdeSession:
 
 @runtime_checkable
 class Client(Protocol):
-    """An owner that is a connection."""
+    """Owner of RTDE inputs that is a client connection."""
 
     def hang_up(self) -> None:
-        """End the conversation."""
+        """Close the connection to the client."""
 
 
 class Ownership:
-    """Inputs and those who have them; a fieldbus that occupies some is an owner like any other."""
+    """Owners of the RTDE inputs; a fieldbus that occupies inputs is an owner like a client."""
 
     def __init__(self) -> None:
         self._owners: dict[str, object] = {}
 
     @property
     def clients(self) -> list[Client]:
-        """Owners that are connections, each once."""
+        """Owners that are connections, without repetitions."""
         return [who for who in dict.fromkeys(self._owners.values()) if isinstance(who, Client)]
 
     def free(self, name: str, owner: object) -> bool:
-        """Whether this owner has it or may have it."""
+        """Return whether an input is free or already belongs to this owner."""
         return self._owners.get(name, owner) is owner
 
     def take(self, names: Iterable[str], owner: object) -> bool:
-        """Take all inputs, or none if one has another owner."""
+        """Assign all inputs to an owner, or no input if another owner has one of them."""
         names = list(names)
         if not all(self.free(name, owner) for name in names):
             return False
@@ -296,7 +299,8 @@ STANDARD, CONFIGURABLE, TOOL = 0, 8, 16
 LOWEST_MA, SPAN_MA, SPAN_V = 4.0, 16.0, 10.0
 
 VOLTAGE_BITS = (1 << 2, 1 << 3)
-"""Of `analog_io_types`: analog output 0 and 1 are voltages."""
+"""Bits of `analog_io_types` that are set if analog output 0 or 1 is a voltage instead of a
+current."""
 
 
 def _analog(machine: Machine) -> None:
@@ -304,7 +308,7 @@ def _analog(machine: Machine) -> None:
     mask, kinds = inputs["standard_analog_output_mask"], inputs["standard_analog_output_type"]
     for number, voltage in enumerate(VOLTAGE_BITS):
         ratio = inputs[f"standard_analog_output_{number}"]
-        # What is not chosen may be anything: ur_rtde sends uninitialised memory there.
+        # Outputs without mask bit can have any value: ur_rtde sends uninitialised memory.
         if not mask >> number & 1 or not math.isfinite(ratio):
             continue
         ratio = min(max(ratio, 0.0), 1.0)
@@ -332,7 +336,7 @@ _EFFECTS: dict[str, Effect] = {
 
 
 def effects_of(names: Iterable[str]) -> tuple[Effect, ...]:
-    """Return the effects of a package with these inputs, each once."""
+    """Return the effects of a package that contains these inputs, without repetitions."""
     return tuple(dict.fromkeys(_EFFECTS[name] for name in names if name in _EFFECTS))
 
 

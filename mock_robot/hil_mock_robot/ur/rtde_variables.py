@@ -1,12 +1,12 @@
-"""RTDE's variables: names, wire types, since which software, and their values.
+"""RTDE variables: names, wire types, first software versions, and values.
 
-`CB3` and `E_SERIES` are the two generations of controllers that are played (CB3: the paper's UR5).
-`Values` are the present values of the inputs or outputs in one flat list, which recipes pack; the
-machine fills them in after every tick (`machine`).
+`CB3` and `E_SERIES` are the two generations of controllers that the mock simulates (CB3: the UR5 of
+the static paper). `Values` contains the present values of inputs or outputs in one flat list, which
+recipes pack. The machine updates the values after every tick (`machine`).
 
-Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", tables of outputs and inputs.
-`tcp_offset` is not in it: Universal_Robots_Client_Library, pull request 110 (3.12.0 and 5.5.1).
-Variables of later software than the versions that are played here are left out.
+The source is Universal Robots, "Real-Time Data Exchange (RTDE) Guide", tables of outputs and
+inputs. Source of `tcp_offset`: Universal_Robots_Client_Library, pull request 110 (3.12.0 and
+5.5.1). Variables of later software than the simulated versions are left out.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from hil.core import SpecError
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """A generation of controllers.
+    """Generation of controllers.
 
     Attributes:
-        name: `cb3` or `e`.
+        name: Name of the series: `cb3` or `e`.
         version: Major, minor, bug-fix and build number of the controller software.
-        date: Of that software, sent with the version.
-        rate_hz: Ticks per second, also the highest RTDE rate [Hz].
-        arms: Built-in arms that such a controller moves.
+        date: Date of the software, sent with the version.
+        rate_hz: Ticks per second, also the maximum RTDE rate [Hz].
+        arms: Built-in arms that a controller of this series can move.
     """
 
     name: str
@@ -38,11 +38,11 @@ class Series:
 
     @property
     def is_e(self) -> bool:
-        """Whether it is an e-Series controller."""
+        """Whether the controller belongs to the e-Series."""
         return self.version[0] >= 5
 
     def at_least(self, cb3: tuple[int, int] | None, e: tuple[int, int] | None) -> bool:
-        """Return whether its software has a feature of these versions; None for never."""
+        """Return whether the software has a feature, given its first versions; None means never."""
         since = e if self.is_e else cb3
         return since is not None and self.version[:2] >= since
 
@@ -55,13 +55,13 @@ def series_of(arm: str) -> Series:
     """Return the generation of the controller that moves a built-in arm.
 
     Raises:
-        SpecError: It is no arm of Universal Robots.
+        SpecError: The arm is not one of Universal Robots.
     """
     for series in (CB3, E_SERIES):
         if arm in series.arms:
             return series
     known = ", ".join(CB3.arms + E_SERIES.arms)
-    raise SpecError(f"a UR controller moves no {arm}", hint=f"it moves {known}")
+    raise SpecError(f"a UR controller cannot move a {arm}", hint=f"use one of {known}")
 
 
 Number = float | int | bool
@@ -78,17 +78,17 @@ WIRE: Mapping[str, tuple[str, int]] = {
     "VECTOR6INT32": ("i", 6),
     "VECTOR6UINT32": ("I", 6),
 }
-"""Type as RTDE names it → letter of `struct`, and how many of them."""
+"""Map from RTDE type name to format letter of `struct` and number of values."""
 
 ALWAYS = (0, 0)
 
 UPPER_SINCE = ((3, 9), (5, 3))
-"""Since when there are registers 24 to 47, and single bits 64 to 127."""
+"""First software versions that have registers 24 to 47 and single bits 64 to 127."""
 
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """One variable: its name, its wire type, and where its first value lies."""
+    """RTDE variable with its name, its wire type, and the index of its first value."""
 
     name: str
     type: str
@@ -96,30 +96,30 @@ class Variable:
 
     @property
     def count(self) -> int:
-        """Number of its numbers."""
+        """Number of values of the variable."""
         return WIRE[self.type][1]
 
     @property
     def format(self) -> str:
-        """Format of its numbers for `struct`."""
+        """Format of the values for `struct`."""
         letter, count = WIRE[self.type]
         return letter * count
 
     @property
     def places(self) -> range:
-        """Indices of its numbers in `Values.flat`."""
+        """Indices of the values in `Values.flat`."""
         return range(self.offset, self.offset + self.count)
 
 
 class Values:
-    """The present values of a set of variables.
+    """Present values of a set of variables.
 
     Args:
-        named: (name, type), in any order.
+        named: Pairs (name, type), in any order.
 
     Attributes:
-        variables: By name.
-        flat: All numbers, one after the other; what a recipe packs.
+        variables: Name → variable.
+        flat: List of the numbers of all variables; recipes pack numbers of this list into packages.
     """
 
     def __init__(self, named: Iterable[tuple[str, str]]) -> None:
@@ -136,10 +136,10 @@ class Values:
         return name in self.variables
 
     def __setitem__(self, name: str, value: Any) -> None:
-        """Set a number, or a list of as many as the variable has.
+        """Set a number, or a list with as many numbers as the variable has.
 
         Raises:
-            ValueError: They are more or fewer, which would shift the variables behind them.
+            ValueError: The list has a different length, which would shift the following variables.
         """
         at, count = self._places[name]
         if count > 1 and len(value) != count:
@@ -151,7 +151,7 @@ class Values:
         return self.flat[self._places[name][0]]
 
     def offer(self, name: str, value: Number | Sequence[Number]) -> None:
-        """Set a variable if this software has it."""
+        """Set a variable if the simulated software has this variable."""
         if name in self.variables:
             self[name] = value
 

@@ -1,10 +1,11 @@
-"""RTDE on the wire: packages, recipes, and the line on which packages get lost or spoilt.
+"""RTDE wire format: packages, recipes, and a line on which packages get lost or corrupted.
 
-`Framer` cuts packages out of a byte stream, `OutputRecipe` and `InputRecipe` pack and unpack them.
-`Line` is what all RTDE connections have in common, `LineEnd` one of them; faults act there.
+`Framer` splits a byte stream into packages; `OutputRecipe` and `InputRecipe` pack and unpack data
+packages. `Line` is the common part of all RTDE connections, and `LineEnd` is one connection; the
+two classes inject faults.
 
-Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", descriptions of the packages.
-All numbers are big-endian and lie next to each other without padding.
+The source is Universal Robots, "Real-Time Data Exchange (RTDE) Guide", descriptions of the
+packages. All numbers in the packages are big-endian, without padding.
 """
 
 from __future__ import annotations
@@ -21,16 +22,17 @@ from hil_mock_robot.ur.connections import Link
 from hil_mock_robot.ur.rtde_variables import Values, Variable
 
 HEADER = struct.Struct(">HB")
-"""Length of the whole package, and its kind. Two bytes of length bound what must be kept."""
+"""Binary layout of a package header: length of the whole package and kind; the two bytes of the
+length limit the size of the receive buffer."""
 
 LONGEST_NAMES = 2048
-"""Bytes of a list of variables; the guide's limit."""
+"""Maximum length of a list of variable names [bytes]; limit of the guide."""
 
 LONGEST_TEXT = 255
 
 
 class Kind(IntEnum):
-    """The kind of a package."""
+    """Kind of an RTDE package."""
 
     PROTOCOL_VERSION = ord("V")
     CONTROLLER_VERSION = ord("v")
@@ -43,7 +45,7 @@ class Kind(IntEnum):
 
 
 class Level(IntEnum):
-    """The severity of a text message."""
+    """Severity of a text message."""
 
     EXCEPTION = 0
     ERROR = 1
@@ -52,12 +54,12 @@ class Level(IntEnum):
 
 
 def package(kind: Kind, payload: bytes = b"") -> bytes:
-    """A package ready to be sent."""
+    """Return the bytes of a package with its header."""
     return HEADER.pack(HEADER.size + len(payload), kind) + payload
 
 
 def text_message(protocol: int, level: Level, source: str, text: str) -> bytes:
-    """A text message as this version of the protocol (1 or 2) lays it out."""
+    """Return a text message in the layout of a protocol version (1 or 2)."""
     if protocol == 1:
         return package(Kind.TEXT, bytes([level]) + _cut(text))
     parts = [bytes([len(each)]) + each for each in (_cut(text), _cut(source))]
@@ -69,7 +71,7 @@ def _cut(text: str) -> bytes:
 
 
 def parsed_text(protocol: int, payload: bytes) -> tuple[Level, str, str] | None:
-    """Level, source and text of a text message; None when it is none."""
+    """Return level, source and text of a text message; None if the message is invalid."""
     try:
         if protocol == 1:
             return Level(payload[0]), "", payload[1:].decode(errors="replace")
@@ -83,15 +85,15 @@ def parsed_text(protocol: int, payload: bytes) -> tuple[Level, str, str] | None:
 
 
 def names_in(payload: bytes) -> list[str]:
-    """Names between commas; some clients end their list with a comma, others do not."""
+    """Return the names in a comma-separated list; a comma at the end is permitted."""
     return [name for name in payload.decode("ascii", errors="replace").split(",") if name]
 
 
 class Framer:
-    """Cuts a stream of bytes into packages, wherever it was cut before.
+    """Splitter of a byte stream into packages, independent of the sizes of its pieces.
 
     Attributes:
-        lost: A length came that cannot be: nothing tells where the next package begins.
+        lost: Whether an impossible length has arrived, so that the next package cannot be located.
     """
 
     def __init__(self) -> None:
@@ -100,11 +102,11 @@ class Framer:
 
     @property
     def held(self) -> int:
-        """Bytes of a package that has not come to its end."""
+        """Number of bytes of the incomplete package."""
         return len(self._rest)
 
     def feed(self, data: bytes) -> list[tuple[int, bytes]]:
-        """Kind and payload of every package that is whole now."""
+        """Return kind and payload of every package that is now complete."""
         if self.lost:
             return []
         rest, at, found = self._rest, 0, []
@@ -123,11 +125,11 @@ class Framer:
 
 
 class OutputRecipe:
-    """The outputs that a client gets, ready to be packed every tick.
+    """Outputs that a client receives, prepared for packing in every tick.
 
     Args:
-        variables: In the order in which they are sent.
-        number: Its id, which protocol version 2 sends along; None for version 1.
+        variables: Variables in the order of transmission.
+        number: Recipe number, which protocol version 2 transmits; None for version 1.
     """
 
     def __init__(self, variables: Sequence[Variable], number: int | None) -> None:
@@ -136,24 +138,24 @@ class OutputRecipe:
         self._head = (body.size, int(Kind.DATA), *(() if number is None else (number,)))
         self._pack = body.pack
         places = [place for each in variables for place in each.places]
-        # itemgetter returns a bare number for a single place; twice the same makes it a tuple.
+        # itemgetter returns a bare number for one index; repeating the index makes it a tuple.
         self._single = len(places) == 1
         self._pick = itemgetter(*places, *(places if self._single else ()))
 
     def pack(self, values: Values) -> bytes:
-        """A data package of the present values."""
+        """Return a data package with the present values."""
         picked = self._pick(values.flat)
         return self._pack(*self._head, *(picked[:1] if self._single else picked))
 
 
 class InputRecipe:
-    """The inputs that a client has announced.
+    """Inputs that a client has announced.
 
     Args:
-        variables: In the order in which they come.
+        variables: Variables in the order of transmission.
 
     Attributes:
-        names: Of these variables.
+        names: Names of the variables.
     """
 
     def __init__(self, variables: Sequence[Variable]) -> None:
@@ -166,7 +168,7 @@ class InputRecipe:
             at += each.count
 
     def unpack(self, payload: bytes) -> list[tuple[str, Any]] | None:
-        """Names and values; None when the length is wrong, for then no value is where it should."""
+        """Return names and values; None if the length is wrong, so that no value is reliable."""
         if len(payload) != self._body.size:
             return None
         numbers = self._body.unpack(payload)
@@ -177,15 +179,15 @@ class InputRecipe:
 
 
 class Line:
-    """The line that the connections of all RTDE clients share.
+    """Common part of the connections of all RTDE clients.
 
     Args:
-        tick_s: Device time of a tick.
-        seed: Of jitter and garbage.
+        tick_s: Device time of a tick [s].
+        seed: Seed of the random generator for jitter and garbage.
 
     Attributes:
-        sound: Whether nothing is wrong with it: packages pass as they are.
-        cut: Whether connections are hung up on as soon as they are made.
+        sound: Whether no fault is active, so that packages pass unchanged.
+        cut: Whether new connections are closed immediately.
     """
 
     def __init__(self, tick_s: float, seed: int = 0) -> None:
@@ -198,7 +200,7 @@ class Line:
         self._ends: list[LineEnd] = []
 
     def over(self, link: Link) -> Link:
-        """The link to a client, by way of this line."""
+        """Return a link to a client that passes through this line."""
         self._ends = [end for end in self._ends if not end.closed]
         end = LineEnd(self, link)
         self._ends.append(end)
@@ -207,23 +209,28 @@ class Line:
         return end
 
     def hang_up(self, *, stays: bool) -> None:
-        """Close all connections; new ones as well, while it `stays`."""
+        """Close all connections; with `stays`, also close new connections immediately."""
         self.cut = stays
         for end in self._ends:
             end.close()
 
     def suffer(self, kind: str, by_s: float = 0.0) -> None:
-        """From the next package on: `silence`, `freeze`, or `late` or `jitter` by a time [s]."""
+        """Begin a fault with the next package.
+
+        Args:
+            kind: Kind of the fault: `silence`, `freeze`, `late` or `jitter`.
+            by_s: Delay of `late` or maximum delay of `jitter` [s].
+        """
         self._lasting.append((kind, by_s))
         self._look()
 
     def recover(self, kind: str, by_s: float = 0.0) -> None:
-        """No longer suffer from that."""
+        """End a fault that `suffer` has begun."""
         self._lasting.remove((kind, by_s))
         self._look()
 
     def owe(self, kind: str, packages: int, by_bytes: int = 0) -> None:
-        """`drop`, `duplicate`, `garbage` or `wrong_length` of the next data packages."""
+        """Schedule a fault of the next data packages: drop, duplicate, garbage or wrong_length."""
         for end in self._ends:
             end.owed[kind] += packages
             if kind == "wrong_length":
@@ -231,13 +238,13 @@ class Line:
         self._look()
 
     def mend(self) -> None:
-        """Forget packages that were still to be spoilt."""
+        """Cancel the scheduled faults of the next packages."""
         for end in self._ends:
             end.owed.clear()
         self._look()
 
     def tick(self) -> None:
-        """Let a tick of device time pass: delayed packages may be due."""
+        """Advance device time by one tick and send delayed packages that are due."""
         self.ticks += 1
         if not self.sound:
             for end in self._ends:
@@ -245,11 +252,11 @@ class Line:
             self._look()
 
     def has(self, kind: str) -> bool:
-        """Whether it suffers from this."""
+        """Return whether a fault of this kind is active."""
         return any(kind == each for each, _ in self._lasting)
 
     def delay(self) -> int:
-        """Return the ticks by which the next package is delayed."""
+        """Return the number of ticks by which the next package is delayed."""
         ticks = 0
         for kind, by_s in self._lasting:
             most = round(by_s / self._tick_s)
@@ -264,15 +271,17 @@ class Line:
 
 
 class LineEnd:
-    """One connection; implements `Link`. What is sent at once is one package.
+    """Single connection with fault injection; implements `Link`.
+
+    The data of each call of `send` are one package.
 
     Args:
-        line: Shared by all connections.
-        link: The connection itself.
+        line: Line shared by all connections.
+        link: Connection to the client.
 
     Attributes:
-        owed: Kind of fault → how many of the next data packages suffer from it.
-        by_bytes: How much too long those of the wrong length are.
+        owed: Map from kind of fault to the number of next data packages that are affected.
+        by_bytes: Number of additional bytes in packages of wrong length.
     """
 
     def __init__(self, line: Line, link: Link) -> None:
@@ -295,7 +304,7 @@ class LineEnd:
 
     @property
     def spoilt(self) -> bool:
-        """Whether this connection alone still suffers from something."""
+        """Whether a fault of this connection alone is still pending."""
         return not self.closed and (bool(self._held) or any(self.owed.values()))
 
     def close(self) -> None:
@@ -314,7 +323,7 @@ class LineEnd:
         self.release()
 
     def carry(self, data: bytes) -> list[bytes]:
-        """Apply the faults to a package; replies can only get lost."""
+        """Apply the active faults to a package; a reply can only be lost."""
         line = self._line
         if line.has("silence"):
             return []
@@ -332,7 +341,7 @@ class LineEnd:
         return [data, data] if self._owes("duplicate") else [data]
 
     def release(self) -> None:
-        """Send packages that are due, in order."""
+        """Send the packages that are due, in order."""
         while self._held and self._held[0][0] <= self._line.ticks:
             self._link.send(self._held.popleft()[1])
 

@@ -1,4 +1,4 @@
-"""What uploaded programs may ask of the controller: state of the arm, inputs, registers."""
+"""URScript functions that return the state of the arm, inputs and registers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LARGEST_BIT = 127
 
 
 def _indexed(name: str, argument: str, most: int, read: Callable[[Machine, int], Value]) -> Answer:
-    """Something that there are several of."""
+    """Return a URScript function that reads one of several items of a kind by its index."""
 
     def answer(program: Evaluator, given: Given, named: Named) -> Value:
         (index,) = bound(name, given, named, [argument])
@@ -66,7 +66,7 @@ def _digital(side: str) -> Callable[[Machine, int], Value]:
 
 
 def _analog(side: str) -> Callable[[Machine, int], Value]:
-    """In volts or amperes."""
+    """Return a function that reads an analog signal [V or A]."""
     return lambda machine, n: float(machine.outputs[f"standard_analog_{side}{n}"])
 
 
@@ -103,7 +103,7 @@ def _has_solution(program: Evaluator, given: Given, named: Named) -> Value:
     name = "get_inverse_kin_has_solution"
     named = {("x" if key == "pose" else key): value for key, value in named.items()}
     for pose in given[:1]:
-        six(pose)  # what is no pose is an error, not out of reach
+        six(pose)  # an invalid pose is an error, whereas a pose out of reach returns False
     try:
         _solution(name, program, given, named)
     except CommandRefused as error:
@@ -114,7 +114,7 @@ def _has_solution(program: Evaluator, given: Given, named: Named) -> Value:
 
 
 def _is_safe(program: Evaluator, given: Given, named: Named) -> Value:
-    """Joint limits and reach; the mock has no safety planes."""
+    """Return whether a position is within joint limits and reach; the mock has no safety planes."""
     (where,) = bound("is_within_safety_limits", given, named, ["pose"])
     if isinstance(where, Pose):
         return _has_solution(program, [where], {})

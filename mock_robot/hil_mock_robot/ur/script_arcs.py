@@ -1,4 +1,4 @@
-"""URScript `movec`: a circle through three points, as a polygon with rounded corners."""
+"""URScript `movec`: an arc through three points, as a polygon with blended corners."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ from hil_mock_robot.ur.routes import Leg
 from hil_mock_robot.ur.script_poses import between
 
 STEP_RAD = math.radians(6.0)
-"""Of the arc, a leg: the tool stays within 0.15 % of the radius of the circle."""
+"""Arc angle of one leg [rad]; with this angle, the tool stays within 0.15 % of the radius of the
+circle."""
 ROUNDED = 0.45
-"""Of a leg, at both of its ends; half would leave nothing straight."""
+"""Blend radius as a share of the leg length; a share of 0.5 would leave no straight part."""
 STRAIGHT = 1e-9
-"""Twice the area of a triangle as a share of its sides squared: less is no triangle."""
+"""Threshold of twice the triangle area divided by the squared side, below which points are
+collinear.
+"""
 
 
 def arc_legs(
@@ -29,16 +32,16 @@ def arc_legs(
     *,
     fixed: bool,
 ) -> list[Leg]:
-    """Legs along the circle from `start` through `via` to `to`.
+    """Return legs along the circle from `start` through `via` to `to`.
 
     Args:
-        start: (6,) where the tool is.
-        via: (6,) whose position is passed; its orientation does not matter.
-        to: (6,) where it ends.
-        v: Of the tool [m/s].
-        a: Of the tool [m/s²].
-        fixed: The orientation turns with the circle, in place of turning from that of `start` to
-            that of `to`.
+        start: Tool pose at the start, (6,).
+        via: Intermediate pose, (6,); its orientation is ignored.
+        to: Tool pose at the end, (6,).
+        v: Tool speed [m/s].
+        a: Tool acceleration [m/s²].
+        fixed: Whether the orientation is constant relative to the circle, instead of interpolated
+            between `start` and `to`.
     """
     centre, axis, angle = _circle(np.array(start[:3]), np.array(via[:3]), np.array(to[:3]))
     count = max(1, math.ceil(angle / STEP_RAD))
@@ -58,7 +61,7 @@ def arc_legs(
 def _circle(
     start: FloatArray, via: FloatArray, to: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Centre, unit axis and angle [rad] of an arc; angle 0 for points on a straight line."""
+    """Return centre, unit axis and angle [rad] of an arc; angle 0 for collinear points."""
     b, c = via - start, to - start
     normal = np.cross(b, c)
     area, size = float(normal @ normal), float(max(b @ b, c @ c))
@@ -72,7 +75,7 @@ def _circle(
 
 
 def _turned(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
-    """A vector at right angles to the axis, turned about it."""
+    """Return a vector at right angles to the axis, rotated about the axis."""
     turned: FloatArray = math.cos(angle) * vector + math.sin(angle) * np.cross(axis, vector)
     return turned
 

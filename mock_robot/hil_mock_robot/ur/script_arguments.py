@@ -1,4 +1,4 @@
-"""Arguments of URScript functions, by place or by name."""
+"""Arguments of URScript functions, positional or by name."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 Given: TypeAlias = Sequence[Any]
 Named: TypeAlias = Mapping[str, Any]
 Answer: TypeAlias = "Callable[[Evaluator, Given, Named], Value]"
-"""A function that only returns something."""
+"""URScript function that returns a value and has no other effect."""
 
 
 def bound(
@@ -24,10 +24,10 @@ def bound(
     needed: Sequence[str],
     optional: Mapping[str, Any] | None = None,
 ) -> list[Any]:
-    """The arguments in order, the needed ones first.
+    """Return the arguments in order, with the required arguments first.
 
     Raises:
-        CommandRefused: There is one too many, or one is missing.
+        CommandRefused: An argument is missing, unknown or passed twice.
     """
     defaults = dict(optional or {})
     names = [*needed, *defaults]

@@ -1,8 +1,8 @@
-"""Errors of uploaded programs, with their place in the text and the controller's word for them.
+"""Errors of uploaded programs, with their position in the text and the controller's own token.
 
-The words are those that URSim sends: a name that nothing defines, at its own column (UR's client
-library waits for just that), and a line that is no URScript. Whatever else goes wrong is told in
-this project's own words.
+URSim sends one token for an undefined name, with the column of the name, and one token for a line
+that is not URScript; UR's client library waits for the token of an undefined name. Other errors
+have messages of this project.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ LONGEST_TOKEN = 300
 
 
 class ScriptError(CommandRefused):
-    """What is wrong with a line of a program.
+    """Error in a line of a program.
 
     Args:
-        number: Of the line, from 1.
-        what: Is wrong, in words.
-        name: The name that is wrong, if it is one.
-        syntax: Whether the line is no URScript at all.
+        number: Line number, from 1.
+        what: Description of the error.
+        name: Undefined name, if the error is about a name.
+        syntax: Whether the error is a line that is not URScript.
     """
 
     def __init__(self, number: int, what: str, *, name: str = "", syntax: bool = False) -> None:
@@ -31,7 +31,7 @@ class ScriptError(CommandRefused):
         self.place = Place(max(1, number))
 
     def located(self, lines: list[str]) -> ScriptError:
-        """The same error, which has looked up its column in the text."""
+        """Return this error after setting its column and token from the text."""
         line = lines[self.number - 1] if 0 < self.number <= len(lines) else ""
         self.place = Place(max(1, self.number), self._column(line), self._token(line))
         return self
@@ -49,5 +49,5 @@ class ScriptError(CommandRefused):
 
 
 def place_of(error: CommandRefused) -> Place:
-    """Where an error is, as far as it knows."""
+    """Return the position of an error, or `NOWHERE` if it is unknown."""
     return error.place if isinstance(error, ScriptError) else NOWHERE

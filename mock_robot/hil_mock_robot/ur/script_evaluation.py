@@ -1,4 +1,4 @@
-"""Values of expressions in robot programs; functions may take time, so this runs in ticks."""
+"""Evaluation of expressions in robot programs, as a generator because functions may take ticks."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
 Evaluation = Generator[None, None, Value]
 TOO_DEEP = "expressions and functions are nested too deeply"
 STEPS_PER_TICK = 2000
-"""Statements and calls before a program has to wait for the next tick."""
+"""Number of statements and calls after which a program must wait for the next tick."""
 
 
 class Evaluator(Threaded):
-    """The expressions of a program, its variables and functions.
+    """Program with variables, functions and the evaluation of expressions.
 
     Args:
-        name: Of the program.
-        patient: Whether it may wait for ticks; a secondary program may not.
+        name: Name of the program.
+        patient: Whether the program can wait for ticks; false for a secondary program.
 
     Attributes:
-        registers: Known from `begin` on.
-        servo: What a `servoj` before this one has left behind.
-        random: Numbers that are the same in every run.
+        registers: Registers shared with clients; set by `begin`.
+        servo: Motion of the previous `servoj`; None before the first `servoj`.
+        random: Random generator, which yields the same numbers in every run of the program.
     """
 
     registers: Registers
@@ -51,7 +51,7 @@ class Evaluator(Threaded):
     def __init__(self, name: str, *, patient: bool = True) -> None:
         super().__init__(name, patient=patient)
         self.servo: ServoJ | None = None
-        self.random = Random(name)  # noqa: S311 — no secrets depend on it
+        self.random = Random(name)  # noqa: S311 — not used for security
         self._functions: dict[str, Statement] = {}
         self._scopes: list[dict[str, Value]] = [{}]
         self._steps = 0
@@ -71,10 +71,10 @@ class Evaluator(Threaded):
             return False
 
     def wait(self, ticks: int = 1) -> Steps:
-        """Let ticks pass.
+        """Wait for a number of ticks.
 
         Raises:
-            CommandRefused: It is a secondary program.
+            CommandRefused: A secondary program cannot wait.
         """
         if not self.patient:
             raise CommandRefused(IMPATIENT)
@@ -108,7 +108,7 @@ class Evaluator(Threaded):
                 return (yield from self._logic(node))
             case ast.Call():
                 return (yield from self._call(node))
-        raise CommandRefused(f"this is no URScript the mock knows: {type(node).__name__}")
+        raise CommandRefused(f"the mock does not support this URScript: {type(node).__name__}")
 
     def _values(self, nodes: Sequence[ast.expr]) -> Generator[None, None, list[Any]]:
         values = []
@@ -137,7 +137,7 @@ class Evaluator(Threaded):
             return combined(ast.Sub if isinstance(node.op, ast.USub) else ast.Add, 0, value)
         if isinstance(node, ast.Compare):
             if len(node.ops) != 1:
-                raise CommandRefused("comparisons have two sides")
+                raise CommandRefused("a comparison must have two sides")
             left = yield from self._value(node.left)
             return compared(type(node.ops[0]), left, (yield from self._value(node.comparators[0])))
         every = isinstance(node.op, ast.And)
@@ -155,7 +155,7 @@ class Evaluator(Threaded):
         if name in ANSWERS:
             return ANSWERS[name](self, given, named)
         if name not in ACTIONS:
-            raise CommandRefused(f"there is no function {name!r}, or the mock does not know it")
+            raise CommandRefused(f"there is no function {name!r}, or the mock does not support it")
         steps = ACTIONS[name](self, given, named)
         if steps is not None:
             yield from steps
@@ -171,16 +171,19 @@ class Evaluator(Threaded):
         return given, named
 
     def _own(self, function: Statement, given: list[Value], named: dict[str, Value]) -> Evaluation:
-        """A function of the program itself."""
+        """Call a function that the program itself defines."""
         raise NotImplementedError
 
     def _count(self, steps: int = 1) -> Steps:
-        """A program that never waits must not hold up the controller."""
+        """Count steps and wait for the next tick after too many of them.
+
+        A program that never waits would otherwise block the controller.
+        """
         self._steps += steps
         if self._steps > STEPS_PER_TICK:
             yield from self.wait()
 
 
 def name_of(node: ast.Call) -> str:
-    """What is called; empty when that is no plain name."""
+    """Return the name of the called function; empty if the callee is not a plain name."""
     return node.func.id if isinstance(node.func, ast.Name) else ""

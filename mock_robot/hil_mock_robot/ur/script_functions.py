@@ -1,4 +1,4 @@
-"""What uploaded programs may call: actions that take a tick or none, and answers."""
+"""URScript functions of uploaded programs: actions, which may take ticks, and answers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Action = Callable[["Evaluator", Given, Named], Steps | None]
 
 STANDARD, CONFIGURABLE, TOOL = (0, 8), (8, 8), (16, 2)
-"""Lowest bit and how many there are, in RTDE's `actual_digital_output_bits`."""
+"""Lowest bit and number of bits of each group in RTDE's `actual_digital_output_bits`."""
 MOST_REGISTERS = 48
 SMALLEST_INT32, LARGEST_INT32 = -(2**31), 2**31 - 1
 FULL_SCALE_V = 10.0
@@ -133,7 +133,7 @@ def _slider(program: Evaluator, given: Given, named: Named) -> None:
 
 
 def _nothing(program: Evaluator, given: Given, named: Named) -> None:
-    """Accepted without effect."""
+    """Accept a call of a URScript function without effect."""
 
 
 ACTIONS: dict[str, Action] = {

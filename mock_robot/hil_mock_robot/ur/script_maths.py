@@ -1,4 +1,4 @@
-"""URScript's functions of numbers, lists and texts."""
+"""URScript functions of numbers, lists and texts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _of_numbers(
         values = [number(each) for each in bound(name, given, named, arguments)]
         try:
             found = function(*values)
-            # A root of a negative number would be a complex one.
+            # `number` raises for a non-finite or complex result.
             return found if isinstance(found, int) else number(found)
         except (ArithmeticError, ValueError) as error:
             said = ", ".join(f"{each:g}" for each in values)
@@ -42,7 +42,10 @@ def _norm(program: Evaluator, given: Given, named: Named) -> Value:
 
 
 def _random(program: Evaluator, given: Given, named: Named) -> Value:
-    """The same numbers in every run: what is tested with them has to be repeatable."""
+    """Return the next random number.
+
+    The numbers are the same in every run of a program, so tests are repeatable.
+    """
     bound("random", given, named, [])
     return program.random.random()
 

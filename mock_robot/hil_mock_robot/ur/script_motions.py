@@ -1,4 +1,4 @@
-"""URScript's motion functions in uploaded programs."""
+"""URScript motion functions of uploaded programs."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ MOVES: Mapping[str, tuple[Literal["j", "l", "p"], Mapping[str, float]]] = {
     "movel": ("l", {"a": 1.2, "v": 0.25, "t": 0.0, "r": 0.0}),
     "movep": ("p", {"a": 1.2, "v": 0.25, "r": 0.0}),
 }
-"""URScript's own speeds and accelerations."""
+"""URScript moves with their default speeds and accelerations."""
 LONGEST_S, LEAST_A = 86_400.0, 1e-3
 
 
 def leg_of(kind: str, given: Given, named: Named) -> Leg:
-    """One of `MOVES` as a leg of a path.
+    """Return a move of `MOVES` as a leg of a path.
 
     Raises:
-        CommandRefused: Its arguments cannot be.
+        CommandRefused: The arguments are invalid.
     """
     target, *rest = bound(kind, given, named, ["target"], MOVES[kind][1])
     of = dict(zip(MOVES[kind][1], map(number, rest), strict=True))
@@ -77,7 +77,7 @@ def _speedl(program: Evaluator, given: Given, named: Named) -> Steps:
 
 
 def _speed(program: Evaluator, kind: str, given: Given, named: Named) -> Steps:
-    """With a time it lasts that long, without one as long as speeding up from rest takes."""
+    """Move with a speed for the time `t`; without `t`, for the duration of the acceleration."""
     named = {("t" if name == "t_min" else name): value for name, value in named.items()}
     optional = {"a": 1.4, "t": 0.0, "aRot": 0.0}
     wanted, a, t, _ = bound(kind, given, named, ["speed"], optional)
@@ -93,12 +93,12 @@ def _speed(program: Evaluator, kind: str, given: Given, named: Named) -> Steps:
 
 def _ticks(machine: Machine, seconds: float) -> int:
     if not 0 <= seconds <= LONGEST_S:
-        raise CommandRefused(f"{seconds:g} s cannot be")
+        raise CommandRefused(f"invalid duration {seconds:g} s")
     return max(1, round(seconds / machine.tick_s))
 
 
 def _movec(program: Evaluator, given: Given, named: Named) -> Steps:
-    """It stops at its end: nothing is blended into what follows."""
+    """Move along an arc and stop at its end, without a blend with the next move."""
     optional = {"a": 1.2, "v": 0.25, "r": 0.0, "mode": 0}
     via, to, a, v, _, mode = bound("movec", given, named, ["pose_via", "pose_to"], optional)
     machine = program.machine
@@ -109,7 +109,7 @@ def _movec(program: Evaluator, given: Given, named: Named) -> Steps:
 
 
 def _pose(machine: Machine, where: Any) -> tuple[float, ...]:
-    """Where to: a pose, or the joints that lead there."""
+    """Return the target pose from a pose or from joint angles."""
     if isinstance(where, Pose):
         return six(where)
     return tuple(map(float, pose_at(machine, six(where))))
@@ -126,7 +126,7 @@ def _sync(program: Evaluator, given: Given, named: Named) -> Steps:
 
 
 def _unknown_motion(program: Evaluator, given: Given, named: Named) -> Steps:
-    raise CommandRefused("the mock does not know this motion")
+    raise CommandRefused("the mock does not support this motion")
 
 
 MOTIONS: dict[str, Motions] = {

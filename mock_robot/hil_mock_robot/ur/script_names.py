@@ -1,4 +1,4 @@
-"""Names of a program that nothing defines: a controller refuses the whole program for one."""
+"""Check of a program for undefined names, for which a controller refuses the whole program."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ SINCE: Mapping[str, tuple[tuple[int, int] | None, tuple[int, int] | None]] = {
     "get_inverse_kin_has_solution": ((3, 15), (5, 10)),
     "set_target_payload": (None, (5, 10)),
 }
-"""Functions that only newer software has: CB3, e-Series."""
+"""First software versions of newer functions: CB3, e-Series."""
 POSE, OUTPUTS = "p", "digital_out"
 FUNCTIONS = frozenset((*ACTIONS, *ANSWERS, *MOVES))
 
 
 def check_names(statements: Iterable[Statement], series: Series) -> None:
-    """Look for names that are neither assigned anywhere in the program nor the controller's own.
+    """Raise if a name is neither assigned in the program nor defined by the controller.
 
     Args:
-        statements: The program.
-        series: Whose functions there are.
+        statements: Statements of the program.
+        series: Controller software, which determines the available functions.
 
     Raises:
-        ScriptError: There is one.
+        ScriptError: A name is undefined.
     """
     every = list(_flat(statements))
     absent = {name for name, since in SINCE.items() if not series.at_least(*since)}
@@ -52,14 +52,14 @@ def _flat(statements: Iterable[Statement]) -> Iterator[Statement]:
 def _check(statement: Statement, functions: Set[str], variables: Set[str]) -> None:
     for name, called in _names(statement):
         if called and name not in functions:
-            what = f"there is no function {name!r}, or the mock does not know it"
+            what = f"there is no function {name!r}, or the mock does not support it"
             raise ScriptError(statement.line, what, name=name)
         if not called and name not in variables and name not in functions:
             raise ScriptError(statement.line, f"there is no variable {name!r}", name=name)
 
 
 def _names(statement: Statement) -> Iterator[tuple[str, bool]]:
-    """Every name in a statement, and whether it is called."""
+    """Yield every name in a statement, and whether it is called."""
     for root in (statement.target, statement.value):
         if not isinstance(root, ast.expr):
             continue

@@ -1,4 +1,4 @@
-"""URScript text into blocks of lines; expressions are left to Python's parser, never to `eval`."""
+"""Parser of URScript into statements; Python's parser reads expressions, without `eval`."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ _ASSIGNMENT = re.compile(r"(?:global\s+|local\s+)?([A-Za-z_]\w*(?:\s*\[[^\]=]*\]
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """One statement.
+    """Statement of a program.
 
     Attributes:
-        line: Its number in the text, from 1.
+        line: Line number in the text, from 1.
         kind: `call`, `assign`, `if`, `while`, `def`, `return`, `break`, `continue`, `halt`.
-        value: What is called, assigned or returned, or the condition.
-        target: What is assigned to, or what is defined.
-        parameters: Of what is defined.
-        body, orelse: Blocks inside.
+        value: Called, assigned or returned expression, or the condition.
+        target: Assigned variable, or name of the defined function.
+        parameters: Parameters of the defined function.
+        body, orelse: Inner blocks.
     """
 
     line: int
@@ -40,7 +40,7 @@ class Statement:
 
 @dataclass(slots=True)
 class _Lines:
-    """Lines with something on them, one after the other."""
+    """Non-empty lines of a text, read one after the other."""
 
     numbered: list[tuple[int, str]]
     at: int = 0
@@ -58,12 +58,12 @@ class _Lines:
 
 
 def opens_block(line: str) -> bool:
-    """Whether an `end` belongs to this line, which is stripped of comments and space."""
+    """Return whether a line without comment and whitespace opens a block that needs an `end`."""
     return _OPENING.match(line) is not None
 
 
 def stripped(line: str) -> str:
-    """The line without space around it and without its comment."""
+    """Return the line without surrounding whitespace and without its comment."""
     if "#" not in line:
         return line.strip()
     kept, quoted = [], False
@@ -76,10 +76,10 @@ def stripped(line: str) -> str:
 
 
 def parse(text: str) -> tuple[Statement, ...]:
-    """All statements of a text.
+    """Return all statements of a text.
 
     Raises:
-        ScriptError: It is no URScript that the mock knows; the message names the line.
+        ScriptError: The text is not URScript that the mock supports; the message names the line.
     """
     numbered = ((i, stripped(line)) for i, line in enumerate(text.splitlines(), 1))
     lines = _Lines([(i, line) for i, line in numbered if line])
@@ -144,10 +144,10 @@ def _require_end(lines: _Lines, number: int) -> None:
 
 
 def expression(number: int, text: str) -> ast.expr:
-    """An expression of line `number`.
+    """Return the parsed expression of line `number`.
 
     Raises:
-        ScriptError: It is none.
+        ScriptError: The text is not a valid expression.
     """
     if len(text) > LONGEST_LINE:
         raise ScriptError(number, "the line is too long")
@@ -156,7 +156,7 @@ def expression(number: int, text: str) -> ast.expr:
         return ast.Name(text, ast.Load())
     try:
         parsed = ast.parse(_with_xor(text), mode="eval").body
-        # Nothing that is shorter than that can be deeper, and most lines are.
+        # A shorter text cannot be nested deeper, and most lines are shorter.
         if len(text) > DEEPEST_EXPRESSION // 2 and _depth(parsed) > DEEPEST_EXPRESSION:
             raise ScriptError(number, "the expression is nested too deeply")
         return parsed
@@ -165,7 +165,7 @@ def expression(number: int, text: str) -> ast.expr:
 
 
 def _with_xor(text: str) -> str:
-    """The text with the one operator that Python writes otherwise."""
+    """Return the text with `xor` replaced by Python's operator."""
     if "xor" not in text:
         return text
     return "".join(

@@ -1,6 +1,6 @@
-"""URScript's arithmetic with poses and rotations.
+"""URScript functions of poses and rotations.
 
-Source: Universal Robots, "The URScript Programming Language", module urmath.
+The source is Universal Robots, "The URScript Programming Language", module urmath.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ STILL = (0.0, 0.0, 0.0)
 
 
 def three(value: Any) -> tuple[float, ...]:
-    """Three numbers.
+    """Return a list of three numbers as a tuple.
 
     Raises:
-        CommandRefused: They are none.
+        CommandRefused: The value is not a list of three numbers.
     """
     if not isinstance(value, list) or len(value) != 3:
         raise CommandRefused(f"three numbers are needed, not {shown(value)}")
@@ -43,7 +43,7 @@ def three(value: Any) -> tuple[float, ...]:
 
 
 def _of(name: str, arguments: Sequence[str], function: Callable[..., Any]) -> Answer:
-    """A function of poses; what it returns has six numbers or is one."""
+    """Return a URScript function of poses that returns a pose or a single number."""
 
     def answer(program: Evaluator, given: Given, named: Named) -> Value:
         found = function(*map(six, bound(name, given, named, arguments)))
@@ -67,7 +67,10 @@ def _sub(to: Six, start: Six) -> list[float]:
 
 
 def _pose_dist(start: Six, to: Six) -> float:
-    """Metres and radians added as squares: the manual says that rotation counts, not how much."""
+    """Return the root of the sum of squared distances [m] and angles [rad].
+
+    The manual does not specify the weight of the rotation.
+    """
     return math.hypot(*_sub(to, start))
 
 
@@ -76,7 +79,10 @@ def _point_dist(start: Six, to: Six) -> float:
 
 
 def between(start: Six, to: Six, alpha: float) -> list[float]:
-    """URScript `interpolate_pose`: straight on, turning about one axis; `alpha` from 0 to 1."""
+    """Return the pose of URScript `interpolate_pose` for `alpha` from 0 to 1.
+
+    The position moves on a straight line and the orientation rotates about one axis.
+    """
     x, y, z, *turn = _sub(to, start)
     turned = compose(_turn(start), frame_of((*STILL, *(alpha * each for each in turn))))
     moved = [a + alpha * b for a, b in zip(start[:3], (x, y, z), strict=True)]
@@ -89,7 +95,10 @@ def _interpolate(program: Evaluator, given: Given, named: Named) -> Value:
 
 
 def _rpy2rotvec(program: Evaluator, given: Given, named: Named) -> Value:
-    """Roll about x, then pitch about the fixed y, then yaw about the fixed z."""
+    """Return the rotation vector of roll about x, then pitch about y, then yaw about z.
+
+    The three rotation axes are fixed.
+    """
     (angles,) = bound("rpy2rotvec", given, named, ["rpy_vector"])
     roll, pitch, yaw = three(angles)
     turns = ((0.0, 0.0, yaw), (0.0, pitch, 0.0), (roll, 0.0, 0.0))
@@ -102,7 +111,7 @@ def _rotvec2rpy(program: Evaluator, given: Given, named: Named) -> Value:
     x, y, z = three(vector)
     r00, r01, _, r10, r11, _, r20, r21, r22 = rotation_of(x, y, z)
     pitch = math.atan2(-r20, math.hypot(r00, r10))
-    if math.hypot(r00, r10) < 1e-12:  # straight up or down: yaw and roll turn about one axis
+    if math.hypot(r00, r10) < 1e-12:  # gimbal lock: yaw and roll have the same axis
         return [0.0, pitch, math.atan2(-r01, r11)]
     return [math.atan2(r21, r22), pitch, math.atan2(r10, r00)]
 

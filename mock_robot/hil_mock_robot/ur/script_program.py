@@ -1,7 +1,7 @@
-"""Robot programs that people upload, run line by line: a small part of URScript.
+"""Interpreter of uploaded robot programs in a small part of URScript, statement by statement.
 
-What it knows is listed in docs/reference/mock-ur-control.md; anything else ends the program with a
-runtime error that names the line.
+The supported part of URScript is listed in docs/reference/mock-ur-control.md. Any statement outside
+the supported part ends the program with a runtime error that contains the line number.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ DEEPEST_CALL = 30
 
 
 class Left(Exception):
-    """A block is left: `break`, `continue`, `return`, `halt`."""
+    """Signal that a block is left by `break`, `continue`, `return` or `halt`."""
 
     def __init__(self, kind: str, value: Value = None) -> None:
         super().__init__(kind)
@@ -39,13 +39,13 @@ class Left(Exception):
 
 
 class ScriptProgram(Evaluator):
-    """A program of someone else.
+    """Uploaded program of a client.
 
     Args:
-        name: What its `def` calls it.
-        statements: Its body.
-        lines: The text it is in, from its line 1 on.
-        patient: Whether it may wait for ticks; a secondary program may not.
+        name: Name in the `def` of the program.
+        statements: Statements in the body of the program.
+        lines: Lines of the program text, from line 1.
+        patient: Whether the program can wait for ticks; false for a secondary program.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class ScriptProgram(Evaluator):
         self._statements, self._lines = statements, lines
 
     def main(self) -> Steps:
-        """All statements, one after the other."""
+        """Execute all statements of the program in order."""
         try:
             yield from self._block(self._statements)
         except Left:
@@ -78,7 +78,7 @@ class ScriptProgram(Evaluator):
     def _blended(
         self, statements: Sequence[Statement], at: int
     ) -> Generator[None, None, list[Leg]]:
-        """Moves from statement `at` on that follow each other without a stop."""
+        """Return the moves from statement `at` on that are blended without a stop."""
         legs: list[Leg] = []
         for statement in (statements[i] for i in range(at, len(statements))):
             call = statement.value
@@ -137,7 +137,7 @@ class ScriptProgram(Evaluator):
             listed(values)
             return
         if not isinstance(target, ast.Name):
-            raise CommandRefused("this cannot be assigned to")
+            raise CommandRefused("only a variable or an element of a list can be assigned")
         yield from self._count(effort(value))
         scope = self._scopes[0] if target.id in self._scopes[0] else self._scopes[-1]
         scope[target.id] = copied(value)
@@ -163,7 +163,7 @@ class ScriptProgram(Evaluator):
         return None
 
     def _placed(self, error: CommandRefused, line: int) -> ScriptError:
-        """The same error with its line, unless it says it already."""
+        """Return the error with its line number, unless the error already has a line number."""
         if isinstance(error, ScriptError):
             return error
         return ScriptError(line, error.message).located(self._lines)

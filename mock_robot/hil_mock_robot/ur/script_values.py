@@ -1,4 +1,4 @@
-"""Values of URScript expressions: numbers, truth, texts, lists and poses; nothing else."""
+"""Values of URScript expressions: numbers, booleans, texts, lists and poses."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from hil.core import CommandRefused
 Value = bool | int | float | str | list[Any] | None
 
 LONGEST = 10_000
-"""Letters of a text."""
+"""Maximum length of a text [characters]."""
 MOST_ELEMENTS = 2000
-"""Of a list, with those of the lists in it; matrices are as deep as lists may be."""
+"""Maximum number of elements of a list, including nested lists; a list can be nested once."""
 LONGEST_SHOWN = 1000
-"""Letters of a list in a message."""
+"""Maximum length of a list in a message [characters]."""
 LARGEST_INT = 2**53
 LARGEST = 1e9
-"""What no coordinate and no speed is beyond: larger numbers only overflow."""
+"""Maximum magnitude of a coordinate or speed; larger numbers only cause overflow."""
 
 _NUMERIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
@@ -38,14 +38,14 @@ _ORDER: Mapping[type[ast.cmpop], Callable[[Any, Any], bool]] = {
 
 
 class Pose(list[Any]):
-    """URScript `p[x, y, z, rx, ry, rz]`."""
+    """URScript pose `p[x, y, z, rx, ry, rz]`."""
 
 
 def number(value: Any, what: str = "a number") -> float:
-    """`value` if it is a finite number.
+    """Return `value` as a float if it is a finite number.
 
     Raises:
-        CommandRefused: It is none.
+        CommandRefused: The value is not a finite number.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise CommandRefused(f"{what} is needed, not {shown(value)}")
@@ -53,10 +53,10 @@ def number(value: Any, what: str = "a number") -> float:
 
 
 def integer(value: Any, least: int, most: int) -> int:
-    """`value` if it is a whole number between the two.
+    """Return `value` as an integer if it is a whole number between `least` and `most`.
 
     Raises:
-        CommandRefused: It is none.
+        CommandRefused: The value is not a whole number from `least` to `most`.
     """
     found = number(value)
     if found != int(found) or not least <= found <= most:
@@ -65,10 +65,10 @@ def integer(value: Any, least: int, most: int) -> int:
 
 
 def six(value: Any) -> tuple[float, ...]:
-    """Six numbers.
+    """Return a list of six numbers as a tuple.
 
     Raises:
-        CommandRefused: They are none.
+        CommandRefused: The value is not a list of six numbers with magnitudes up to `LARGEST`.
     """
     if not isinstance(value, list) or len(value) != 6:
         raise CommandRefused(f"six numbers are needed, not {shown(value)}")
@@ -78,10 +78,10 @@ def six(value: Any) -> tuple[float, ...]:
 
 
 def truth(value: Any) -> bool:
-    """A condition.
+    """Return `value` if it is a boolean.
 
     Raises:
-        CommandRefused: It is none.
+        CommandRefused: The value is not a boolean.
     """
     if not isinstance(value, bool):
         raise CommandRefused(f"True or False is needed, not {shown(value)}")
@@ -89,7 +89,7 @@ def truth(value: Any) -> bool:
 
 
 def shown(value: Any) -> str:
-    """For messages, as `textmsg` shows it."""
+    """Return the text of a value for messages, as in `textmsg`."""
     if isinstance(value, list):
         inner = ", ".join(shown(each) for each in value[:12])[:LONGEST_SHOWN]
         return ("p[" if isinstance(value, Pose) else "[") + inner + "]"
@@ -97,10 +97,10 @@ def shown(value: Any) -> str:
 
 
 def listed(values: list[Any]) -> None:
-    """Look whether a list is one that a program may have.
+    """Raise if a list is too long or too deeply nested for a program.
 
     Raises:
-        CommandRefused: They are too many, or lists are too deep in each other.
+        CommandRefused: The list has too many elements, or lists are nested too deeply.
     """
     inner = [each for each in values if isinstance(each, list)]
     if any(isinstance(each, list) for every in inner for each in every):
@@ -110,10 +110,10 @@ def listed(values: list[Any]) -> None:
 
 
 def copied(value: Any) -> Any:
-    """A value for somebody else to keep: lists are passed on by value.
+    """Return a copy of a value, because URScript passes lists by value.
 
     Raises:
-        CommandRefused: It is a list that cannot be.
+        CommandRefused: The list is too long or too deeply nested.
     """
     if not isinstance(value, list):
         return value
@@ -122,31 +122,31 @@ def copied(value: Any) -> Any:
 
 
 def effort(value: Any) -> int:
-    """Steps that it takes to go through a value."""
+    """Return the number of steps that processing a value takes."""
     if not isinstance(value, list):
         return 1
     return 1 + sum(len(each) if isinstance(each, list) else 1 for each in value) // 10
 
 
 def constant(value: Any) -> Value:
-    """A number, text or truth that stands in the program.
+    """Return a number, text or boolean that is a constant in the program.
 
     Raises:
         CommandRefused: URScript has no such constant.
     """
     if isinstance(value, bool | int | float | str):
         return _bounded(value)
-    raise CommandRefused(f"{value!r} is no value")
+    raise CommandRefused(f"{value!r} is not a value")
 
 
 def combined(kind: type[ast.operator], left: Any, right: Any) -> Value:
-    """Two numbers, or two lists added element by element.
+    """Return the result of an operator on two numbers, or on two lists element by element.
 
     Raises:
-        CommandRefused: They cannot be combined so.
+        CommandRefused: The operator or the operands are invalid.
     """
     if kind not in _NUMERIC:
-        raise CommandRefused(f"no operator {kind.__name__}")
+        raise CommandRefused(f"unknown operator {kind.__name__}")
     if isinstance(left, list) and isinstance(right, list) and len(left) == len(right):
         pairs = zip(left, right, strict=True)
         return type(left)(combined(kind, a, b) for a, b in pairs) if left else []
@@ -159,25 +159,25 @@ def combined(kind: type[ast.operator], left: Any, right: Any) -> Value:
 
 
 def compared(kind: type[ast.cmpop], left: Any, right: Any) -> bool:
-    """Whether a comparison holds.
+    """Return the result of a comparison.
 
     Raises:
-        CommandRefused: The two cannot be compared.
+        CommandRefused: The two values cannot be compared.
     """
     if kind is ast.Eq:
         return bool(left == right)
     if kind is ast.NotEq:
         return bool(left != right)
     if kind not in _ORDER:
-        raise CommandRefused(f"no comparison {kind.__name__}")
+        raise CommandRefused(f"unknown comparison {kind.__name__}")
     return _ORDER[kind](number(left), number(right))
 
 
 def element(values: Any, index: Any) -> Value:
-    """One of a list.
+    """Return an element of a list.
 
     Raises:
-        CommandRefused: There is no such element.
+        CommandRefused: The list has no such element.
     """
     if not isinstance(values, list) or not values:
         raise CommandRefused(f"{shown(values)} has no elements")
@@ -186,7 +186,7 @@ def element(values: Any, index: Any) -> Value:
 
 
 def joined(values: Sequence[Any]) -> str:
-    """What `textmsg` makes of its arguments."""
+    """Return the text that `textmsg` shows for its arguments."""
     return "".join(shown(value) for value in values)[:LONGEST]
 
 

@@ -1,4 +1,4 @@
-"""What an uploaded text is: the control script of `ur-rtde`, or a program run line by line."""
+"""Conversion of an uploaded text into a program: control script of `ur-rtde`, or any URScript."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ MOST_LEGS = 100_000
 
 
 def play(text: str, machine: Machine) -> None:
-    """Play what a client sent; what does not compile ends what plays, and never begins.
+    """Play a program sent by a client; after a compile error, only stop the present program.
 
     Args:
-        text: A `def`, or a single statement, of URScript.
-        machine: Which is to run it.
+        text: URScript text: a `def` or a single statement.
+        machine: Controller that plays the program.
     """
     try:
         program = program_of(text, machine)
@@ -42,10 +42,10 @@ def play(text: str, machine: Machine) -> None:
 
 
 def program_of(text: str, machine: Machine) -> Program:
-    """The program that a text is.
+    """Return the program of a text.
 
     Raises:
-        CommandRefused: It does not compile.
+        CommandRefused: The text does not compile.
     """
     try:
         if CONTROL.match(text) and (offset := OFFSET.search(text)):
@@ -56,7 +56,7 @@ def program_of(text: str, machine: Machine) -> Program:
 
 
 def run_beside(text: str, machine: Machine) -> None:
-    """A secondary program: it runs at once, beside what plays, and may not wait or move."""
+    """Run a secondary program at once, beside the playing program; it cannot wait or move."""
     name = _name(text)
     try:
         _compiled(text, machine, patient=False).run_at_once(machine)
@@ -80,14 +80,14 @@ def _name(text: str) -> str:
 
 
 def _body(statements: tuple[Statement, ...]) -> tuple[Statement, ...]:
-    """What is done: the inside of the only `def`, or single statements."""
+    """Return the statements to execute: the body of the only `def`, or single statements."""
     if len(statements) == 1 and statements[0].kind == "def":
         return statements[0].body
     return statements
 
 
 def _injected(text: str) -> tuple[tuple[tuple[int, ...], Leg], ...]:
-    """The path in a control script: moves, each with the progress that is told before it."""
+    """Return the path in a control script: moves, each with the progress reported before it."""
     lines = text.splitlines()
     start = next((i for i, line in enumerate(lines) if line.strip() == PATH), len(lines))
     path: list[tuple[tuple[int, ...], Leg]] = []
@@ -99,7 +99,7 @@ def _injected(text: str) -> tuple[tuple[tuple[int, ...], Leg], ...]:
             path.append((tuple(marks), leg_of(name, values, named)))
             marks = []
         else:
-            raise ScriptError(number, f"no move of a path: {name!r}")
+            raise ScriptError(number, f"not a move of a path: {name!r}")
     return tuple(path)
 
 
@@ -118,16 +118,16 @@ def _calls(lines: list[str], start: int) -> Iterable[tuple[int, Call]]:
 def _call(number: int, text: str) -> Call:
     call = expression(number, text)
     if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Name):
-        raise ScriptError(number, f"no move of a path: {text[:40]!r}")
+        raise ScriptError(number, f"not a move of a path: {text[:40]!r}")
     try:
         named = {each.arg or "": _literal(each.value) for each in call.keywords}
         return call.func.id, [_literal(each) for each in call.args], named
     except (ValueError, TypeError) as error:
-        raise ScriptError(number, f"only numbers are understood here: {text[:40]!r}") from error
+        raise ScriptError(number, f"only numbers are permitted here: {text[:40]!r}") from error
 
 
 def _literal(node: ast.expr) -> object:
-    """A number, a list, or a pose."""
+    """Return the value of a number, list or pose."""
     if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name):
         return Pose(ast.literal_eval(node.slice))
     return ast.literal_eval(node)

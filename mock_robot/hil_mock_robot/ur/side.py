@@ -1,7 +1,7 @@
-"""The side channel of the mock controller: a port of its own, past every interface.
+"""Side channel of the mock controller: a separate port for tests, in addition to the UR interfaces.
 
-`UrRequests` are what may be asked; `SideService` and `SideSession` are its port and one client. A
-`step` of a mock in lock-step is answered when its ticks were made.
+`UrRequests` answers the requests; `SideService` is the port and `SideSession` one client. In a mock
+in lock-step, a `step` request is answered after its ticks have been executed.
 """
 
 from __future__ import annotations
@@ -26,22 +26,23 @@ from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.pacing import LockStep, RealTime
 
 MOST_WAITING = 1_000_000
-"""Bytes of requests that wait for the end of a step; the client is hung up on beyond that."""
+"""Maximum size of the requests that wait for the end of a step [bytes]; beyond this size the
+client is disconnected."""
 LINE_BYTES = 100
 AXES = 6
 MOST_TICKS = 10_000_000
 
 
 class UrRequests(Requests):
-    """Requests of one client to the controller.
+    """Requests of one client to the mock controller.
 
     Args:
-        machine: The controller.
-        faults: Of the mock.
-        pacer: Of its time.
+        machine: Simulated controller.
+        faults: Fault schedule of the mock.
+        pacer: Pacer of the device time.
 
     Attributes:
-        left: Ticks of the client's present step that were not made yet.
+        left: Number of remaining ticks of the client's present step.
     """
 
     def __init__(self, machine: Machine, faults: UrFaults, pacer: object) -> None:
@@ -59,7 +60,7 @@ class UrRequests(Requests):
         self._machine.body.mount(payload)
 
     def truth(self) -> Answer:
-        """See `Requests`; `None` for what nobody knows."""
+        """Return the true state of arm and controller; None for values that do not exist."""
         machine, pacer = self._machine, self._pacer
         seen, modes = machine.reading, machine.modes
         motion, program = machine.motion, machine.program
@@ -88,8 +89,8 @@ class UrRequests(Requests):
 
     def _step(self, request: Request) -> None:
         if not isinstance(self._pacer, LockStep):
-            hint = "start it with --speed lock-step"
-            raise CommandRefused("step: this mock's time passes by itself", hint=hint)
+            hint = "start the mock with --speed lock-step"
+            raise CommandRefused("step: the time of this mock advances by itself", hint=hint)
         ticks = request.get("ticks", 1)
         if not isinstance(ticks, int) or isinstance(ticks, bool) or not 1 <= ticks <= MOST_TICKS:
             raise SpecError(f"step: ticks is {ticks!r}", hint=f"use 1 to {MOST_TICKS}")
@@ -98,24 +99,28 @@ class UrRequests(Requests):
 
     def _speed(self, request: Request) -> Answer:
         if not isinstance(self._pacer, RealTime):
-            raise CommandRefused("speed: this mock does not follow the clock", hint="use --speed 1")
+            raise CommandRefused(
+                "speed: this mock does not follow the clock", hint="start it with --speed 1"
+            )
         self._pacer.change(factor_in(request))
         return {}
 
     def _pendant(self, request: Request) -> Answer:
         if self.faults.mock.dark:
-            raise CommandRefused("pendant: the controller is booting", hint="wait for its end")
+            raise CommandRefused(
+                "pendant: the controller is booting", hint="wait until it has started"
+            )
         return pressed(self._machine, request)
 
 
 class SideService:
-    """Listens for those who run the mock.
+    """Service of the side channel for the operator of the mock.
 
     Args:
         port: TCP port.
-        machine: The controller.
-        faults: Of the mock.
-        pacer: Of its time.
+        machine: Simulated controller.
+        faults: Fault schedule of the mock.
+        pacer: Pacer of the device time.
     """
 
     def __init__(self, port: int, machine: Machine, faults: UrFaults, pacer: object) -> None:
@@ -124,14 +129,14 @@ class SideService:
         self._sessions: list[SideSession] = []
 
     def accept(self, link: Link) -> SideSession:
-        """See `Service`."""
+        """Return the session of a new client; see `Service`."""
         requests = UrRequests(self.machine, self.faults, self.pacer)
         session = SideSession(self, link, requests)
         self._sessions.append(session)
         return session
 
     def forget(self, session: SideSession) -> None:
-        """It is gone, and its permits with it."""
+        """Remove a closed session and its remaining permitted ticks."""
         self._sessions.remove(session)
         if isinstance(self.pacer, LockStep):
             self.pacer.permitted -= session.requests.left
@@ -149,12 +154,12 @@ class SideService:
 
 
 class SideSession:
-    """The conversation with one client.
+    """Session of one client of the side channel.
 
     Args:
-        service: Of this session.
-        link: The connection.
-        requests: Answers its requests.
+        service: Service to which this session belongs.
+        link: Connection of the mock to the client.
+        requests: Handler of the client's requests.
     """
 
     lossless = False
@@ -175,7 +180,9 @@ class SideSession:
             self.close()
         self._go_on()
         if self._waits > MOST_WAITING and not self._link.closed:
-            self._answer({"error": "too many requests wait", "hint": "read the answers first"})
+            self._answer(
+                {"error": "too many requests are waiting", "hint": "read the answers first"}
+            )
             self.close()
 
     def close(self) -> None:
@@ -183,14 +190,14 @@ class SideSession:
         self._link.close()
 
     def ticked(self) -> None:
-        """See `Session`; what is due after a tick is done when all other clients had theirs."""
+        """Do nothing, because `stepped` runs after a tick, when all clients have been served."""
 
     def hung_up(self) -> None:
         """See `Session`."""
         self._service.forget(self)
 
     def stepped(self) -> None:
-        """One tick of the present step was made."""
+        """Count an executed tick of the present step; answer the request after the last tick."""
         self.requests.left -= 1
         if not self.requests.left:
             self._answer({"device_time": self._service.machine.now_s})

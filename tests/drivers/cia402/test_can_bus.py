@@ -87,9 +87,9 @@ def test_full_transmit_queue_is_said_and_no_error(pair: tuple[SocketPort, socket
 def test_bus_whose_host_has_ended_is_gone(pair: tuple[SocketPort, socket.socket]) -> None:
     port, theirs = pair
     theirs.close()
-    with pytest.raises(RobotConnectionError, match=r"the CAN bus \(test\) is gone: its host"):
+    with pytest.raises(RobotConnectionError, match=r"the CAN bus \(test\) is lost: its host"):
         port.receive(0.0)
-    with pytest.raises(RobotConnectionError, match="is gone"):
+    with pytest.raises(RobotConnectionError, match="is lost"):
         port.send(FRAME)
 
 
@@ -203,9 +203,9 @@ def test_the_largest_rate_that_fits(mapping, bitrate, rate):
 def test_what_does_not_fit_is_refused_with_the_rate_and_the_mapping_that_do():
     with pytest.raises(SpecError, match="500 Hz with mapping position do not fit") as caught:
         require_room("position", 6, 500.0, MBIT, MAPPINGS)
-    assert "97% of the bus, 118% with the worst" in caught.value.message
+    assert "97% of the bus, 118% with worst-case" in caught.value.message
     assert "rate_hz 333.333 is the largest" in caught.value.hint
-    assert "with mapping minimal 500 Hz fit" in caught.value.hint
+    assert "500 Hz fit with mapping minimal" in caught.value.hint
 
 
 def test_a_kilohertz_fits_with_no_mapping():
@@ -295,7 +295,7 @@ def test_room_that_is_made_again_is_used(port: SocketPort, ends: Ends) -> None:
 
 def test_a_burst_to_a_bus_that_is_gone_says_so(port: SocketPort, ends: Ends) -> None:
     ends[1].close()
-    with pytest.raises(RobotConnectionError, match="is gone"):
+    with pytest.raises(RobotConnectionError, match="is lost"):
         sending(port, [bytearray(FRAMES[0])])(0.0)
 
 

@@ -48,7 +48,7 @@ def test_drives_without_the_mode_in_their_process_data_are_in_it_all_the_same(
 ) -> None:
     with axes(mock, mapping="minimal") as robot:
         assert set(mock.state()["modes"]) == {8}
-        assert "does not carry it" in finding(robot, "drives-enabled").message
+        assert "does not contain it" in finding(robot, "drives-enabled").message
         rows = robot.read()
         assert np.isfinite(rows["qd"]).all()
         assert not (rows["status"] & int(Status.MASKED)).any()
@@ -64,7 +64,7 @@ def test_torque_of_the_wrong_sign_is_refused_before_it_leads_the_arm(
         return -sign(axis, bit) if wrong else sign(axis, bit)
 
     with axes(mock) as robot:
-        assert finding(robot, "torque-sign").message.endswith("weight in joint_2")
+        assert finding(robot, "torque-sign").message.endswith("gravity in joint_2")
     monkeypatch.setattr(AxisProfile, "_sign", turned)
     with axes(mock) as robot:
         found = finding(robot, "torque-sign")
@@ -81,7 +81,7 @@ def test_torque_of_the_wrong_sign_is_refused_before_it_leads_the_arm(
 def test_a_wrong_unit_of_velocity_ends_the_first_motion(mock: MockCan) -> None:
     with (
         axes(mock, axes={"velocity_unit": "0.001 rpm"}) as robot,
-        pytest.raises(RobotFault, match="velocity_unit is wrong"),
+        pytest.raises(RobotFault, match=r"velocity_unit or polarity .* is wrong"),
     ):
         follow(robot, move(robot, 0.4))
 

@@ -115,11 +115,11 @@ def test_all_contradictions_are_told_at_once_by_joint_and_node():
     with drives() as line:
         axes = {"gear_ratio": [100, 141, 1, 1, 1, 1], "rated_current_a": 7.0, "polarity": 0x80}
         lines = refused(line, axes=axes).splitlines()
-    assert [each.split(" is ")[0] for each in lines] == [
+    assert [each.split(" contradicts ")[0] for each in lines] == [
         *["joint_1 (node 1)"] * 3,
         *["joint_2 (node 2)"] * 2,
     ]
-    assert "as the station says: axes.gear_ratio is 100.0 in the station, 121.0" in lines[0]
+    assert "contradicts the station: axes.gear_ratio is 100.0 in the station, 121.0" in lines[0]
     assert "axes.polarity is 128 in the station, 0 in the drive" in lines[1]
     assert "axes.rated_current_a is 7.0 in the station" in lines[2]
 
@@ -127,7 +127,7 @@ def test_all_contradictions_are_told_at_once_by_joint_and_node():
 def test_a_drive_that_was_never_told_of_its_gear_needs_the_stations():
     with drives(1) as line:
         line.nodes[0].registers[GEAR] = 1
-        assert "give axes.gear_ratio" in refused(line)
+        assert "set axes.gear_ratio" in refused(line)
         assert commissioned(line, axes={"gear_ratio": 121}).details["gear_ratio"] == "121"
 
 
@@ -135,7 +135,7 @@ def test_a_gear_that_is_not_the_arms_is_refused_unless_the_station_says_it_too()
     with drives(1) as line:
         line.nodes[0].registers[GEAR] = 100
         told = refused(line)
-        assert "says a gear of 100 (6091h), the arm has one of 121" in told
+        assert "reports a gear ratio of 100 (6091h), the gear ratio of the arm is 121" in told
         assert "axes.gear_ratio" in told
         assert commissioned(line, axes={"gear_ratio": 100}).details["gear_ratio"] == "100"
 
@@ -146,7 +146,7 @@ def test_a_drive_without_the_mode_of_the_trajectories_is_refused(mode, monkeypat
         monkeypatch.setitem(line.nodes[1].registers, key(0x6502), 1 << 0 | 1 << 8)
         told = refused(line, trajectory_mode=mode)
         assert told == (
-            f"joint_2 (node 2) does not know {mode}: 6502h (supported modes) is 00000101h"
+            f"joint_2 (node 2) does not support {mode}: 6502h (supported modes) is 00000101h"
         )
         commissioned(line, trajectory_mode="csv")
 
@@ -156,15 +156,15 @@ def test_what_is_no_402_drive_is_refused_and_asked_no_further(monkeypatch):
         monkeypatch.setitem(line.nodes[0].registers, key(0x1000), 0x0002_0191)
         told = refused(line)
     assert told == (
-        "joint_1 (node 1) is no CiA 402 drive: 1000h (device type) is 00020191h, "
-        "its low word should be 0192h"
+        "joint_1 (node 1) is not a CiA 402 drive: 1000h (device type) is 00020191h, "
+        "its low word must be 0192h"
     )
 
 
 def test_a_drive_without_rated_torque_needs_the_stations(monkeypatch):
     with drives(1) as line:
         without(line.nodes[0], monkeypatch, 0x6076)
-        assert "says rated_torque_nm; give axes.rated_torque_nm" in refused(line)
+        assert "defines rated_torque_nm; set axes.rated_torque_nm" in refused(line)
         assert commissioned(line, axes={"rated_torque_nm": 1.3}).scaling.torque_resolution[
             0
         ] == pytest.approx(1.3 * 121 / 1000)
@@ -226,7 +226,7 @@ def test_a_quick_stop_that_takes_too_long_is_refused_with_the_least_that_would_d
         line.nodes[1].registers[QUICK_STOP] = ramp
         told = refused(line)
         assert told.startswith("joint_2 (node 2) brakes too slowly in a quick stop: 6085h")
-        assert f"is {ramp}, that is" in told
+        assert f"is {ramp}, which is" in told
         least = int(told.split("at least ")[1].split()[0])
         assert least == math.ceil(ARM.qd_max[1] / 0.5 * 141 * 2**20 / 2 / math.pi)
         line.nodes[1].registers[QUICK_STOP] = least
@@ -278,7 +278,7 @@ def test_an_object_that_is_there_and_cannot_be_read_is_not_taken_for_missing(mon
 def test_a_range_that_32_bits_with_sign_do_not_hold_is_refused():
     with drives(1) as line:
         told = refused(line, axes={"offset_deg": 6100})
-    assert "cannot count from -170 to 170°" in told
+    assert "cannot represent -170 to 170°" in told
     with drives(1) as line:
         assert commissioned(line, axes={"offset_deg": 6100, "position_unsigned": True})
 

@@ -275,7 +275,9 @@ def test_mode_switch_of_an_arm_that_something_moves_is_refused(
         return exchange(outputs, give_up_s)
 
     monkeypatch.setattr(station.drives, "exchange", drifting)
-    with pytest.raises(CommandRefused, match=r"axis 2 does not come to rest, it moves at 0\.[01]"):
+    with pytest.raises(
+        CommandRefused, match=r"axis 2 does not come to a standstill, it moves at 0\.[01]"
+    ):
         station.core.switch(CST)
 
 
@@ -363,7 +365,7 @@ def test_records_of_a_motion_that_nobody_takes_end_it() -> None:
         station.ready()
         station.core._free = False
         station.move(rows=100_000)
-        assert "were not taken" in station.problem()
+        assert "were not read in time" in station.problem()
     finally:
         station.core.close()
 

@@ -41,7 +41,7 @@ def test_what_is_none_is_not_given():
 @pytest.mark.parametrize(
     ("given", "said", "hint"),
     [
-        ({}, "lacks its option bus", "interface: socketcan"),
+        ({}, "needs the option bus", "interface: socketcan"),
         ({"bus": {"interface": "hil_unix"}}, "bus is", "give channel too"),
         ({"bus": {**BUS, "bitrat": 1}}, "bus of the driver cia402 has no key bitrat", "'bitrate'?"),
         ({"bus": {**BUS, "interface": "hil-unix"}}, "bus.interface", "did you mean 'hil_unix'?"),
@@ -49,7 +49,7 @@ def test_what_is_none_is_not_given():
         ({"bus": "can0"}, "bus is 'can0'", "keys and values"),
         ({"bus": BUS, "node": [1]}, "no option node", "did you mean 'nodes'?"),
         ({"bus": BUS, "nodes": [1, 2, 3]}, "nodes is", "the 6 joints"),
-        ({"bus": BUS, "nodes": [1, 2, 3, 4, 5, 5]}, "nodes is", "a node id of its own"),
+        ({"bus": BUS, "nodes": [1, 2, 3, 4, 5, 5]}, "nodes is", "a different node id"),
         ({"bus": BUS, "nodes": [1, 2, 3, 4, 5, 127]}, "nodes is 127", "1 to 126"),
         ({"bus": BUS, "master_id": 3}, "nodes is", "3 is master_id"),
         ({"bus": BUS, "master_id": 0}, "master_id is 0", "1 to 127"),
@@ -64,7 +64,7 @@ def test_what_is_none_is_not_given():
         ({"bus": BUS, "payload_object": 0x1000}, "payload_object is 4096", "8192 to 24575"),
         ({"bus": BUS, "late_cycles": 2.5}, "late_cycles is 2.5", "whole number"),
         ({"bus": BUS, "profile": "el7211"}, "profile is 'el7211'", "did you mean 'el72xx'?"),
-        ({"bus": BUS, "eds": "no-such.eds"}, "eds is 'no-such.eds'", "no such file"),
+        ({"bus": BUS, "eds": "no-such.eds"}, "eds is 'no-such.eds'", "the file does not exist"),
         ({"bus": BUS, "axes": {"gear_ration": 3}}, "no key gear_ration", "'gear_ratio'?"),
         ({"bus": BUS, "axes": {"gear_ratio": [1, 2]}}, "axes.gear_ratio", "a list of 6"),
         ({"bus": BUS, "axes": {"gear_ratio": -3}}, "axes.gear_ratio is -3", "0.01 to 10000"),
@@ -116,7 +116,7 @@ def test_feed_forward_belongs_to_position_control():
 @pytest.mark.parametrize("pace", [2, 0.5, "free"])
 def test_time_runs_at_another_pace_on_simulated_buses_only(pace):
     assert options(pace=pace).pace == (0.0 if pace == "free" else pace)
-    assert "live in real time" in refused(bus=REAL, pace=pace).hint
+    assert "run in real time" in refused(bus=REAL, pace=pace).hint
 
 
 def test_simulated_drives_may_be_late_for_longer_than_real_ones():

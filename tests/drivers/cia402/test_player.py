@@ -106,12 +106,14 @@ def test_motion_begins_where_the_last_one_ended() -> None:
 def test_motion_that_begins_elsewhere_is_refused_with_axis_and_distance() -> None:
     play = Play()
     play.player.load(track([5000, 6000]))
-    with pytest.raises(CommandRefused, match=r"begins 0\.0050 rad from where axis 1 is held"):
+    with pytest.raises(
+        CommandRefused, match=r"begins 0\.0050 rad from the held position of axis 1"
+    ):
         play.player.start()
 
 
 def test_start_without_motion_is_refused() -> None:
-    with pytest.raises(CommandRefused, match="without a prepared segment"):
+    with pytest.raises(CommandRefused, match="no segment is prepared"):
         Play().player.start()
 
 

@@ -188,7 +188,7 @@ def test_positions_of_exact_counts_come_back_exactly():
 
 
 def test_what_neither_station_nor_drive_says_is_asked_for_by_name():
-    with pytest.raises(SpecError, match="says rated_current_a, torque_constant_nm_a") as caught:
+    with pytest.raises(SpecError, match="defines rated_current_a, torque_constant_nm_a") as caught:
         axis_profile("el72xx", {"gear_ratio": 80.0}, {"encoder_increments": 1 << 20})
     assert "axes.rated_current_a" in caught.value.hint
 
@@ -241,7 +241,7 @@ def test_an_emergency_says_code_register_and_the_makers_data():
         "following error (8611h); error register: generic, device profile, data 01 00 00 00 ff"
     )
     assert str(Emergency(2, 0x3220, 0, bytes(5))) == "DC link under-voltage (3220h)"
-    assert str(Emergency(2, 0, 0, bytes(5))) == "errors are gone (0000h)"
+    assert str(Emergency(2, 0, 0, bytes(5))) == "errors reset (0000h)"
 
 
 def test_abort_codes_are_told_with_the_number_as_manuals_write_it():

@@ -87,7 +87,7 @@ def test_a_log_of_something_else_is_told(tmp_path: Path) -> None:
     log = tmp_path / "other.log"
     log.write_text("(1.000000) can0 701#05\n")
     robot = {"identity": {"details": DETAILS}}
-    with pytest.raises(DataError, match="holds no SYNC"):
+    with pytest.raises(DataError, match="contains no SYNC"):
         list(Replay(log, "lab6", OPTIONS, robot).blocks())
 
 
@@ -160,7 +160,7 @@ def test_the_log_of_a_run_replays_into_the_same_dataset(tmp_path: Path) -> None:
     }
     for name, kept in wrong.items():
         (tmp_path / name).write_text("".join(kept))
-        with pytest.raises(DataError, match="does not hold all that the run has recorded"):
+        with pytest.raises(DataError, match="contains only a part of the data of the run"):
             replay(recorded, tmp_path / name, tmp_path / "runs")
         (made,) = (tmp_path / "runs").glob(f"*/*/000{3 + list(wrong).index(name)}-*")
         assert json.loads((made / "stop.json").read_text())["outcome"] == "failed"

@@ -215,7 +215,7 @@ def test_one_axis_that_fails_stops_all_and_the_message_says_who_and_why(
         assert said in error.message
     row = until_in_fault(axes)
     assert row["fault_code"] == 0x8611
-    with pytest.raises(RobotFault, match=r"does not obey since a fault: joint_3"):
+    with pytest.raises(RobotFault, match=r"accepts no commands since a fault: joint_3"):
         axes.prepare(move(axes, 0.1))
     off_and_at_rest(mock)
     axes.connect()
@@ -301,7 +301,9 @@ def test_rows_have_temperatures_and_every_integer_is_recorded(free_axes) -> None
 def test_what_was_looked_at_before_a_motion_is_told_with_its_figures(mock, axes) -> None:
     with mock.bus() as bus:
         bus.send(can.Message(arbitration_id=0x1FE, data=[1], is_extended_id=False))
-    mock.wait_until(lambda _: "not ours" in {f.name: f for f in axes.checks()}["cycle"].message)
+    mock.wait_until(
+        lambda _: "foreign nodes" in {f.name: f for f in axes.checks()}["cycle"].message
+    )
     found = {finding.name: finding for finding in axes.checks()}
     assert set(found) >= {
         "drives", "drives-enabled", "bus-load", "scaling", "joint-limits", "torque-limits",

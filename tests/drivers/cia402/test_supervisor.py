@@ -82,7 +82,7 @@ def test_refused_mode_names_axis_and_mode_and_leaves_all_off() -> None:
     rig.supervisor.enable(CSP)
     problem = rig.problem(2000)
     assert "axis 2 (node 12): setting the mode took longer than 2 s" in problem
-    assert "mode 8 (csp) was asked for, it shows 0" in problem
+    assert "mode 8 (csp) was requested, 6061h shows 0" in problem
     assert rig.supervisor.overdue
     rig.until(Phase.OFF)
     assert [drive.status for drive in rig.drives] == [OFF] * 3
@@ -198,7 +198,7 @@ def test_emergency_from_before_explains_a_fault_that_enabling_finds() -> None:
 @pytest.mark.parametrize(
     ("news", "text"),
     [
-        (News(booted=[1]), "axis 2 (node 12): has started anew"),
+        (News(booted=[1]), "axis 2 (node 12): has restarted"),
         (News(silent=[1]), "axis 2 (node 12): its heartbeat is overdue"),
         (News(bus_error="bus-off"), "bus-off"),
     ],
@@ -386,7 +386,7 @@ def test_refused_mode_switch_stops_all_and_names_the_axis() -> None:
     rig.supervisor.switch(CST)
     problem = rig.problem(2000)
     assert "axis 2 (node 12): switching the mode took longer than 1 s" in problem
-    assert "mode 10 (cst) was asked for, it shows 8 (csp)" in problem
+    assert "mode 10 (cst) was requested, 6061h shows 8 (csp)" in problem
 
 
 def test_without_mode_in_the_process_data_it_is_not_waited_for() -> None:
@@ -482,8 +482,8 @@ def test_an_axis_that_does_not_say_so_is_not_said_to_have_stopped() -> None:
     rig.drives[1].silent = True
     said = rig.problem()
     assert said.startswith("axis 2 (node 12): has not answered")
-    assert "All axes were told to stop; axis 1, axis 3: " in said
-    assert said.endswith("; axis 2: not known to have stopped")
+    assert "A stop was sent to all axes; axis 1, axis 3: " in said
+    assert said.endswith("; axis 2: stop not confirmed")
     assert "were stopped" not in said
 
 
@@ -492,4 +492,4 @@ def test_an_axis_that_answers_and_stays_enabled_is_not_said_to_have_stopped() ->
     rig.enable()
     rig.drives[0].stuck_at = rig.drives[0].status
     rig.supervisor.quick_stop("records were not taken")
-    assert rig.problem(20).endswith("axis 1: not known to have stopped")
+    assert rig.problem(20).endswith("axis 1: stop not confirmed")

@@ -51,7 +51,7 @@ def test_an_axis_that_is_too_far_away_is_named_with_the_figures(mode: int, bound
         told = said(target + increments(degrees), target, mode)
         assert bool(told) is wrong
     assert {axis for axis, _ in told} == {1}
-    assert f"is {degrees:.1f}° from its set-point, {bound} are allowed" in told[0][1]
+    assert f"is {degrees:.1f}° from its set-point, the limit is {bound}" in told[0][1]
 
 
 def test_one_answer_that_is_off_is_let_pass() -> None:
@@ -67,7 +67,7 @@ def test_a_velocity_that_is_not_that_of_the_positions_is_told(factor: float) -> 
     velocity = np.full(200, speed / RAD * factor)
     told = said(position, position, unit=[RAD, -RAD], velocity=velocity)
     assert {axis for axis, _ in told} == {1}
-    assert "axes.velocity_unit is wrong" in told[0][1]
+    assert "axes.velocity_unit or polarity (607Eh) is wrong" in told[0][1]
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.0, 1.3])
@@ -110,6 +110,6 @@ def test_torque_that_cannot_hold_the_arm_is_told_with_the_figures(
 ) -> None:
     (told,) = weighed([0.0, measured, 60.0]).contradictions
     assert told == (
-        f"b measures {measured:.1f} N·m where -150.0 N·m hold the arm: "
+        f"b measures {measured:.1f} N·m, but gravity needs -150.0 N·m: "
         f"the {what} of torque is wrong"
     )

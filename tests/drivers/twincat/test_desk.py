@@ -75,7 +75,7 @@ def test_after_an_online_change_reading_ends_and_so_does_the_heartbeat(robot, de
         robot.read()
     assert "connect again" in told.value.hint
     assert not robot._controller.beat.alive
-    with pytest.raises(RobotFault, match="does not obey since a fault"):
+    with pytest.raises(RobotFault, match="accepts no commands since a fault"):
         robot.prepare(little_move())
 
 
@@ -149,17 +149,17 @@ def test_after_an_online_change_a_new_connection_finds_everything(robot, desk):
 def test_a_stop_that_the_program_does_not_see_ends_the_heartbeat_and_is_an_error(robot, desk):
     desk.handler.loses_stops = True
     own = InTime()
-    with pytest.raises(RobotConnectionError, match="could not be told to stop") as told:
+    with pytest.raises(RobotConnectionError, match="did not confirm the stop") as told:
         robot.stop()
     took = own.taken()
-    assert "shows stop 0, not 1" in told.value.message
+    assert "shows stop number 0, not 1" in told.value.message
     assert not robot._controller.beat.alive
     took.require(0.15)
 
 
 def test_a_stop_that_cannot_be_written_ends_the_heartbeat(robot, desk):
     desk.silent = True
-    with pytest.raises(RobotConnectionError, match="could not be told to stop"):
+    with pytest.raises(RobotConnectionError, match="did not confirm the stop"):
         robot.stop()
     assert not robot._controller.beat.alive
 
@@ -213,7 +213,7 @@ def test_a_command_without_an_answer_is_followed_by_a_stop(robot, desk, order, m
     desk.program.commands.look = look  # now it does what it was told
     desk.program.cycles(5)
     assert desk.program.phase == Phase.HOLDING
-    with pytest.raises(RobotFault, match="does not obey since a fault"):
+    with pytest.raises(RobotFault, match="accepts no commands since a fault"):
         robot.prepare(little_move())
 
 
@@ -271,7 +271,7 @@ def test_a_stop_of_somebody_else_does_not_keep_us_from_starting_ever_after(robot
 def test_a_stop_of_somebody_else_after_prepare_refuses_the_start_and_says_so(robot, desk):
     robot.prepare(little_move())
     desk.memory.view("nStop")[0] += 5
-    with pytest.raises(CommandRefused, match="it was stopped meanwhile") as told:
+    with pytest.raises(CommandRefused, match="the arm was stopped meanwhile") as told:
         robot.start()
     assert "nStop" in told.value.hint
 
@@ -301,13 +301,13 @@ def test_a_variable_of_another_size_is_told(desk):
     symbols = desk.memory.symbols
     name = "gvl_hil.ststate"
     symbols[name] = replace(symbols[name], size=symbols[name].size + 8)
-    with pytest.raises(PluginError, match="stState has 112 bytes, the contract says 104"):
+    with pytest.raises(PluginError, match="stState has 112 bytes, the contract requires 104"):
         desk_robot().connect()
 
 
 def test_an_array_of_another_length_than_it_says_is_told(desk):
     desk.memory.view("stInfo")[0]["nRingRows"] += 1
-    with pytest.raises(PluginError, match=r"aRing has \d+ bytes, stInfo tells of 16385 rows"):
+    with pytest.raises(PluginError, match=r"aRing has \d+ bytes, stInfo reports 16385 rows"):
         desk_robot().connect()
 
 
@@ -328,7 +328,7 @@ def test_set_points_that_the_plc_reads_back_otherwise_are_refused(robot, desk):
         desk.memory.view("stAnswer")[0]["nSumB"] += 1
 
     desk.program.commands.look = spoilt
-    with pytest.raises(CommandRefused, match="reads back other set-points"):
+    with pytest.raises(CommandRefused, match="the set-points read back from the PLC differ"):
         robot.prepare(little_move())
 
 
@@ -385,8 +385,8 @@ CODES = (
     (0x708, RobotTimeout, "is busy"),
     (0x710, RobotFault, "changed online"),
     (0x711, RobotFault, "changed online"),
-    (0x712, RobotConnectionError, "its runtime is in a state"),
-    (0x719, RobotTimeout, "has timed out in itself"),
+    (0x712, RobotConnectionError, "its runtime does not answer"),
+    (0x719, RobotTimeout, "reports an internal time-out"),
     (0x705, CommandRefused, "read 1 bytes"),
 )
 

@@ -120,7 +120,7 @@ def test_a_row_that_stays_torn_is_an_error_and_not_data():
     plc = FakeRing()
     plc.write(50)
     plc.rows["nSequence"][0] = 7
-    with pytest.raises(RobotConnectionError, match="row 0 of the PLC's ring is none"):
+    with pytest.raises(RobotConnectionError, match="row 0 of the PLC's ring buffer is invalid"):
         plc.pull()
 
 
@@ -128,7 +128,7 @@ def test_a_program_that_was_started_anew_is_told():
     plc = FakeRing()
     plc.write(50)
     plc.pull()
-    with pytest.raises(RobotConnectionError, match="was started anew: 3 rows written, 50 were"):
+    with pytest.raises(RobotConnectionError, match="was restarted: it has written 3 rows, 50 were"):
         plc.ring.pull(3)
 
 
@@ -283,8 +283,8 @@ LOOPBACK = {"address": "127.0.0.1"}
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({}, "lacks its option address"),
-        ({"address": "192.168.0.7"}, "lacks its option ams_net_id"),
+        ({}, "needs the option address"),
+        ({"address": "192.168.0.7"}, "needs the option ams_net_id"),
         ({"address": "5.1.2"}, "address is '5.1.2'"),
         (LOOPBACK | {"ams_net_id": "1.2.3"}, "ams_net_id is '1.2.3'"),
         (LOOPBACK | {"ams_net_id": "1.2.3.4.1.256"}, "ams_net_id is"),

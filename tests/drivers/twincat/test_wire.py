@@ -90,7 +90,7 @@ def test_what_is_played_is_what_was_planned_to_the_last_bit(robot):
 
 def test_a_second_client_gets_the_arm_only_when_the_first_lets_go(robot, plc):
     other = TwinCatRobot("other", "lab6", address=plc.address)
-    with pytest.raises(CommandRefused, match="another client has the arm"):
+    with pytest.raises(CommandRefused, match="another client controls the arm"):
         other.connect()
     robot.read()
     # `pyads` has one router per process: a route that the other one has deleted is ours, too.
@@ -130,12 +130,12 @@ IN_MAKE_TEST = ("emergency_stop", "online_change")
 WRONG = (
     ({"kind": "emergency_stop"}, RobotFault, "fault 5: emergency stop"),
     ({"kind": "drive_fault", "code": 34321}, RobotFault, "fault 34321: drive fault 0x8611"),
-    ({"kind": "freeze", "for_s": 2}, RobotTimeout, "its task stands still"),
+    ({"kind": "freeze", "for_s": 2}, RobotTimeout, "its task does not run"),
     ({"kind": "silence", "for_s": 3}, RobotTimeout, "has not answered within 0.5 s"),
     ({"kind": "cut"}, RobotError, "connection is lost|has not answered"),
     ({"kind": "config", "for_s": 1}, RobotConnectionError, "no PLC runtime answers"),
     ({"kind": "online_change"}, RobotFault, "changed online"),
-    ({"kind": "restart"}, RobotConnectionError, "was started anew"),
+    ({"kind": "restart"}, RobotConnectionError, "was restarted"),
 )
 
 
@@ -188,7 +188,7 @@ def test_set_points_that_arrive_spoilt_are_not_played(robot, plc):
     segment = move(robot, 0.05)
     plc.side(kind="spoil")
     time.sleep(0.05)
-    with pytest.raises(CommandRefused, match="what it received is not what was sent"):
+    with pytest.raises(CommandRefused, match="the received set-points differ from those sent"):
         robot.prepare(segment)
     plc.side(clear=True)
     time.sleep(0.05)
@@ -200,7 +200,7 @@ def test_a_stop_between_prepare_and_start_holds(robot):
     prepared = robot._prepared
     robot.stop()
     robot._prepared = prepared  # as when the stop came in the middle of start()
-    with pytest.raises(CommandRefused, match="it was stopped meanwhile"):
+    with pytest.raises(CommandRefused, match="the arm was stopped meanwhile"):
         robot.start()
 
 
@@ -310,10 +310,14 @@ def bare_plc(*, without=(), contract=None, model="lab6", cycle_s=0.001):
 @pytest.mark.parametrize(
     ("plc_is", "kind", "said"),
     [
-        ({"contract": 1}, PluginError, "keeps version 1 of the contract, this driver 2"),
+        (
+            {"contract": 1},
+            PluginError,
+            "implements version 1 of the contract, this driver version 2",
+        ),
         ({"without": ["aRing"]}, PluginError, "has no variable GVL_Hil.aRing"),
-        ({"model": "ur5"}, RobotConnectionError, "it moves a ur5, the station says lab6"),
-        ({"cycle_s": 0.002}, RobotConnectionError, "its cycle is 2 ms, rate_hz says 1"),
+        ({"model": "ur5"}, RobotConnectionError, "its arm is ur5, the station has lab6"),
+        ({"cycle_s": 0.002}, RobotConnectionError, "its cycle is 2 ms, rate_hz is for 1 ms"),
         ({}, RobotTimeout, "the PLC has not answered within 0.3 s: take the arm"),
     ],
     ids=["version", "symbol", "model", "cycle", "dead program"],
@@ -329,8 +333,8 @@ def test_a_plc_that_is_not_the_right_one_is_told_in_one_sentence(plc_is, kind, s
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({}, "nobody listens on port 48898: Connection refused"),
-        ({"address": "127.0.0.1:1"}, "nobody listens on port 1"),
+        ({}, "no connection to port 48898: Connection refused"),
+        ({"address": "127.0.0.1:1"}, "no connection to port 1"),
     ],
 )
 def test_a_plc_that_is_not_there_is_named(options, said, monkeypatch):
@@ -346,7 +350,9 @@ def test_another_ams_port_is_no_runtime(plc):
 
 
 def test_the_effort_that_the_plc_tells_is_compared_with_the_station(plc):
-    with pytest.raises(RobotConnectionError, match="it tells torque, option effort says current"):
+    with pytest.raises(
+        RobotConnectionError, match="it reports torque, the option effort is current"
+    ):
         TwinCatRobot("arm", "lab6", address=plc.address, effort="current").connect()
 
 

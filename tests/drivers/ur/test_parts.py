@@ -36,10 +36,10 @@ TICK_S = 0.008
 @pytest.mark.parametrize(
     ("options", "model", "said"),
     [
-        ({}, "ur5", "lacks its option address"),
+        ({}, "ur5", "needs the option address"),
         ({"address": "10.0.0.300"}, "ur5", "address is '10.0.0.300'"),
         ({"address": "10.0.0.3", "adress": 1}, "ur5", "no option adress"),
-        ({"address": "10.0.0.3"}, "lab6", "moves no lab6"),
+        ({"address": "10.0.0.3"}, "lab6", "cannot move a lab6"),
         ({"address": "10.0.0.3", "gain": 50}, "ur5", "gain is 50"),
         ({"address": "10.0.0.3", "gain": True}, "ur5", "gain is True"),
         ({"address": "10.0.0.3", "lookahead_s": "0.1"}, "ur5", "lookahead_s is '0.1'"),
@@ -194,11 +194,11 @@ def segment(q, qd=0.0, kind="move", speed=0.5, acceleration=1.0):
     ("asked", "said"),
     [
         (segment([[0.0] * 5]), "5 joints"),
-        (segment([[0.0] * 5 + [np.nan]]), "numbers that are none"),
+        (segment([[0.0] * 5 + [np.nan]]), "not finite numbers"),
         (segment([[0.0] * 5 + [6.3]]), "joint range"),
         (segment([[0.1] * 6]), "begins 0.1000 rad from"),
-        (segment([[0.0] * 6], qd=0.5), "begin and end at rest"),
-        (segment([[0.0] * 6], qd=4.0), "joint 1 at 4.000 rad/s"),
+        (segment([[0.0] * 6], qd=0.5), "begin and end at standstill"),
+        (segment([[0.0] * 6], qd=4.0), "joint 1 with 4.000 rad/s"),
         (segment([[0.0] * 6], speed=3.5), "3.500 rad/s"),
         (segment([[0.0] * 6], acceleration=50.0), "50.0 rad/s²"),
     ],
@@ -286,7 +286,7 @@ CB3, E = (3, 15, 8, 0), (5, 12, 2, 0)
             (3, 9, 0, 0),
             raw(),
             RobotConnectionError,
-            "does not tell the payload",
+            "does not report the payload",
         ),
         ("ur5e", Facts(), (10, 1, 0, 0), raw(), RobotConnectionError, "not supported"),
         ("ur5e", Facts(remote="false"), E, raw(), RobotFault, "local control"),
@@ -578,13 +578,13 @@ def test_of_maker_and_controller_the_stricter_one_counts_joint_by_joint():
 @pytest.mark.parametrize(
     ("state", "said"),
     [
-        (b"\0\0\0", "cut off"),
+        (b"\0\0\0", "truncated"),
         (struct.pack(">IB", 99, 3), "99 bytes"),
         (struct.pack(">IB", 0, 3) + bytes(20), "0 bytes"),
-        (struct.pack(">IB", 9, 6) + bytes(4), "of 4 bytes"),
-        (configured(q=(3.0, -3.0)), "cannot be"),
-        (configured(most=(float("nan"), 1.0)), "cannot be"),
-        (configured(most=(2.0, 0.0)), "cannot be"),
+        (struct.pack(">IB", 9, 6) + bytes(4), "only 4 bytes"),
+        (configured(q=(3.0, -3.0)), "impossible joint limits"),
+        (configured(most=(float("nan"), 1.0)), "impossible joint limits"),
+        (configured(most=(2.0, 0.0)), "impossible joint limits"),
     ],
 )
 def test_limits_that_cannot_be_are_none(state, said):
@@ -614,16 +614,19 @@ def test_a_name_that_nobody_knows_is_told_with_what_to_do(monkeypatch):
 
     monkeypatch.setattr("socket.getaddrinfo", unknown)
     with pytest.raises(
-        RobotConnectionError, match=r"'ur5\.lab\.example' leads to no address: Name"
+        RobotConnectionError, match=r"'ur5\.lab\.example' cannot be resolved: Name"
     ) as caught:
         ip_address_of("ur5.lab.example")
-    assert "no address: Name or service not known" in caught.value.message
+    assert "cannot be resolved: Name or service not known" in caught.value.message
     assert "IP address" in caught.value.hint
 
 
 @pytest.mark.parametrize(
     ("address", "begins"),
-    [("127.0.0.9", "start it first: hil mock ur; if "), ("192.0.2.7", "is the controller on")],
+    [
+        ("127.0.0.9", "start the mock first: hil mock ur; if "),
+        ("192.0.2.7", "check that the controller is on"),
+    ],
 )
 def test_where_nothing_answers_on_loopback_a_mock_is_to_be_started(address, begins, monkeypatch):
     def refused(*args):

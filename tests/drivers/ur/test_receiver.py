@@ -100,13 +100,13 @@ def test_whatever_comes_the_states_before_it_are_whole_and_nothing_fails(noise, 
 @pytest.mark.parametrize(
     ("bad", "says"),
     [
-        (b"\x00\x05\xff\xff\xff", "no RTDE package"),
-        (b"\x00\x02U", "no RTDE package"),
+        (b"\x00\x05\xff\xff\xff", "not an RTDE package"),
+        (b"\x00\x02U", "not an RTDE package"),
         (peer.package("U", b"\x01" + b"\0" * 20), "24 bytes instead of 65"),
         (data_package(1.0)[:-1], ""),
         (peer.package("U", b"\x01" + b"\0" * 99), "103 bytes instead of 65"),
         (data_package(1.0, recipe=2), "recipe 2"),
-        (data_package(float("nan")), "clock is at nan"),
+        (data_package(float("nan")), "invalid time stamp nan"),
     ],
 )
 def test_what_is_no_state_of_ours_ends_the_stream_with_words(bad, says):
@@ -156,7 +156,7 @@ def test_a_cb3_controller_gives_what_it_has_and_the_rest_is_missing():
         rows = take(receiver, 3)
         assert receiver.version == peer.CB3
         assert receiver.frequency_hz == 125.0
-        assert receiver.missing["payload_inertia"] == "this software does not have it"
+        assert receiver.missing["payload_inertia"] == "not available in this software"
         assert set(receiver.missing) == {*peer.NOT_IN_CB3_3_15, "payload_inertia"}
         assert "payload_inertia" not in (rows.dtype.names or ())
         assert rows["timestamp"].tolist() == [0.0, 0.008, 0.016]
@@ -223,13 +223,13 @@ def test_a_controller_that_falls_mute_in_the_handshake_is_an_error_in_time(mute_
 @pytest.mark.parametrize(
     ("at", "instead", "says"),
     [
-        ("V", peer.package("V", b"\0"), "does not speak RTDE protocol 2"),
+        ("V", peer.package("V", b"\0"), "does not support RTDE protocol 2"),
         ("V", b"HTTP/1.1 400 Bad Request\r\n\r\n", "not RTDE"),
         ("v", peer.package("v", b"\0" * 8), "8 bytes instead of 16"),
         ("v", peer.package("P", b"\1"), "by a package 'P'"),
         ("O", peer.package("O", b"\1DOUBLE,DOUBLE"), "2 types for"),
         ("S", peer.package("S", b"\0"), "refuses to send"),
-        ("S", b"", "hung up"),
+        ("S", b"", "closed the connection"),
     ],
 )
 def test_wrong_answers_are_errors_in_words(at, instead, says):
@@ -293,11 +293,11 @@ def test_every_state_arrives_once_and_in_order_whatever_the_pieces():
 @pytest.mark.parametrize(
     ("end", "says"),
     [
-        (lambda talk: None, "hung up after 5 states"),
+        (lambda talk: None, "closed the connection after 5 states"),
         (lambda talk: talk.send(talk.data(1.0)[:100]), "in the middle of a package"),
-        (lambda talk: talk.send(b"\xde\xad\xbe\xef" * 4), "no RTDE package: de ad be ef"),
+        (lambda talk: talk.send(b"\xde\xad\xbe\xef" * 4), "not an RTDE package: de ad be ef"),
         (lambda talk: talk.send(talk.data(-50.0)), "restarted"),
-        (lambda talk: time.sleep(3.0), "fallen silent"),
+        (lambda talk: time.sleep(3.0), "been silent"),
     ],
 )
 def test_the_end_of_states_comes_after_the_last_one_and_stays(end, says):
@@ -355,7 +355,7 @@ def test_rows_nobody_takes_wait_in_order_and_too_many_are_an_error_not_a_loss(mo
         rows = receiver.take(1.0)
         assert np.array_equal(rows["timestamp"], np.arange(len(rows)) / 125)
         assert 500 <= len(rows) == receiver.counts.packages
-        with pytest.raises(RobotConnectionError, match="was not listened to"):
+        with pytest.raises(RobotConnectionError, match="was not read in time"):
             receiver.take(1.0)
 
 
@@ -396,7 +396,7 @@ def test_a_state_that_is_repeated_is_no_news_and_in_the_end_a_lost_connection():
         assert len(receiver.take(1.0))
         until(lambda: not receiver.alive)
         receiver.take(1.0)
-        with pytest.raises(RobotConnectionError, match=r"its clock standing still, for 1\.\d s"):
+        with pytest.raises(RobotConnectionError, match=r"with a stopped clock for 1\.\d s"):
             receiver.take(1.0)
 
 
@@ -527,7 +527,7 @@ def test_the_torque_source_decides_what_the_effort_is():
 
 def test_a_torque_source_that_the_controller_lacks_is_refused():
     _, missing = names_for(3)
-    with pytest.raises(SpecError, match="does not send: no CB3"):
+    with pytest.raises(SpecError, match="does not send: not available on a CB3"):
         require_source("current-as-torque", missing)
     require_source("current", missing)
 

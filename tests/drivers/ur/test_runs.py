@@ -60,7 +60,9 @@ def test_the_spec_of_the_embedded_mock_passes_over_the_wire_without_a_gap(spec, 
 def test_a_commissioning_run_is_slow_and_short(tmp_path):
     with mock_ur("--speed", "4") as running:
         station = station_at(running.address, tmp_path)
-        said = run("ci_dwell_12.yaml", station, tmp_path / "runs", "--speed", "30%", "--first", "1")
+        said = run(
+            "ci_dwell_12.yaml", station, tmp_path / "runs", "--speed-scale", "30%", "--limit", "1"
+        )
     assert (said["outcome"], said["verdict"], said["gaps"]) == ("completed", "not judged", 0)
     rows = read_topic(Path(said["run"]) / "recording" / "00.mcap")
     assert np.abs(rows["qd_target"]).max() < np.radians(60) * 0.3 * 1.05

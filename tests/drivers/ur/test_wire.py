@@ -401,7 +401,7 @@ def test_a_stop_of_the_controllers_is_a_fault_with_the_remedy(kind, fault, said,
         assert rows[-1]["status"] & Status.FAULT
         robot.stop()
         settle(robot)
-        with pytest.raises(RobotFault, match="does not obey"):
+        with pytest.raises(RobotFault, match="accepts no commands"):
             robot.prepare(move(robot, 0.1))
         with pytest.raises(RobotFault, match=said):
             robot.connect()
@@ -622,11 +622,13 @@ def test_what_was_looked_at_is_told_with_the_figures():
         assert all(finding.passed for finding in told.values())
         assert told["mode"].message == "robot mode RUNNING"
         assert told["safety"].message == "safety mode NORMAL"
-        assert "no difference between local and remote" in told["remote-control"].message
+        assert "does not distinguish local and remote" in told["remote-control"].message
         assert told["software"].measured == "3.15.8.106339"
         assert told["payload"].message.startswith("payload 0.000 kg at")
-        assert "as wide as the maker's" in told["joint-limits"].message
-        assert told["watchdog"].message == "watchdog armed at 2 Hz in our program, which is playing"
+        assert "as wide as the manufacturer's" in told["joint-limits"].message
+        assert told["watchdog"].message == (
+            "watchdog armed at 2 Hz in the robot program of hil, which is playing"
+        )
         assert told["speed-slider"].measured == 1.0
 
 
@@ -638,7 +640,7 @@ def test_the_lines_are_in_the_runs_preflight_and_on_the_console(tmp_path):
         station["robots"]["ur5"]["own_process"] = True
         path = tmp_path / "station.yaml"
         path.write_text(yaml.safe_dump(station))
-        asked = ("run", EXPERIMENTS / "ci_dwell_12.yaml", "--station", path, "--first", "1")
+        asked = ("run", EXPERIMENTS / "ci_dwell_12.yaml", "--station", path, "--limit", "1")
         command = [sys.executable, "-m", "hil", *map(str, asked), "--runs", str(tmp_path), "--json"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr[-3000:]

@@ -310,7 +310,7 @@ def test_a_statusword_in_words_says_what_matters_and_its_number() -> None:
         "operation enabled, internal limit active, following error (statusword 3A37h)"
     )
     assert driver.statusword_text(0x0008) == (
-        "fault, does not listen to the bus (bit 9) (statusword 0008h)"
+        "fault, not controlled over the bus (remote, bit 9, is 0) (statusword 0008h)"
     )
 
 

@@ -75,7 +75,7 @@ def test_a_refused_command_says_why(path):
     with pytest.raises(CommandRefused):
         mock.start()
     prepare, start = events(path, "prepare", "start")
-    assert "away from where the arm is" in prepare["refused"]
+    assert "away from its present position" in prepare["refused"]
     assert "without a prepared segment" in start["refused"]
 
 

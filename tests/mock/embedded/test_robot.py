@@ -127,12 +127,12 @@ BAD = {
     "leaves its position range": lambda: move(UPRIGHT, FAR, duration_s=9),
     "exceeds its speed limit": lambda: move(duration_s=0.3),
     "exceeds its acceleration limit": lambda: move(duration_s=0.3),
-    "must start and end at rest": lambda: segment(blend(UPRIGHT, ASIDE, 125, 2.0)[:100]),
+    "must start and end at standstill": lambda: segment(blend(UPRIGHT, ASIDE, 125, 2.0)[:100]),
     "not a finite number": lambda: segment(np.full((3, 3, 6), np.nan)),
     "must all be": lambda: segment(np.zeros((3, 3, 5))),
-    "jumps faster": lambda: segment(np.array([[UPRIGHT, 0 * ASIDE, 0 * ASIDE],
+    "position steps above": lambda: segment(np.array([[UPRIGHT, 0 * ASIDE, 0 * ASIDE],
                                               [ASIDE, 0 * ASIDE, 0 * ASIDE]])),
-    "a hold has one": lambda: segment(np.repeat(blend(UPRIGHT, ASIDE, 125, 2)[:1], 2, 0), 0,
+    "a hold must have one": lambda: segment(np.repeat(blend(UPRIGHT, ASIDE, 125, 2)[:1], 2, 0), 0,
                                       "hold"),
 }  # fmt: skip
 
@@ -257,7 +257,7 @@ def test_truth_file_makes_the_same_robot_as_its_seed(tmp_path):
     for mock in robots:
         mock.connect()
     assert robots[0].read().tobytes() == robots[1].read().tobytes()
-    with pytest.raises(SpecError, match="the station says lab6"):
+    with pytest.raises(SpecError, match="the station names lab6"):
         MockRobot("b", "lab6", truth_file=str(path))
 
 

@@ -164,8 +164,8 @@ def test_help_lists_options_with_their_defaults(
         assert ended.value.code == 0
         shown = " ".join(capsys.readouterr().out.split())
         assert shown.startswith(f"usage: {said} ")
-    shared = ("--model", "--seed", "--profile", "--start-q-deg", "--mounted-kg", "--faults", "tell")
-    for option in (server.place_option, *shared, "--journal", "--truth", *server.options):
+    shared = ("--model", "--seed", "--profile", "--start-q-deg", "--mounted-kg", "--faults", "send")
+    for option in (server.place_option, *shared, "--journal", "--ground-truth", *server.options):
         assert option in shown
     assert f"(default: {server.model})" in shown
     assert "(default: 0)" in shown or "(default: 1)" in shown
@@ -186,7 +186,7 @@ def test_hil_mock_has_the_help_of_its_mocks_and_its_own(asked: list[str]) -> Non
 
 def test_the_truth_is_that_of_its_usual_arm(name: str, server: Server, tmp_path: Path) -> None:
     path = tmp_path / "truth.json"
-    done = CliRunner().invoke(hil, ["mock", name, "--truth", str(path), "--json"])
+    done = CliRunner().invoke(hil, ["mock", name, "--ground-truth", str(path), "--json"])
     assert done.exit_code == 0, done.output
     assert json.loads(done.output)["model"] == server.model
     assert json.loads(path.read_text())["arm"] == server.model
@@ -198,15 +198,15 @@ PLAN = {
     "a text that is no list": "quake",
 }
 REFUSED: dict[str, tuple[str, list[str], int, str]] = {
-    "address on a network": ("ur plc", ["--address", "192.0.2.1"], 2, "no loopback address"),
-    "address of all networks": ("ur plc", ["--address", "0.0.0.0"], 2, "no loopback address"),
-    "speed in words": ("ur plc", ["--speed", "fast"], 2, "'fast' is no speed"),
-    "speed of zero": ("ur plc", ["--speed", "0"], 2, "is no speed"),
+    "address on a network": ("ur plc", ["--address", "192.0.2.1"], 2, "not a loopback address"),
+    "address of all networks": ("ur plc", ["--address", "0.0.0.0"], 2, "not a loopback address"),
+    "speed in words": ("ur plc", ["--speed", "fast"], 2, "'fast' is not a valid speed"),
+    "speed of zero": ("ur plc", ["--speed", "0"], 2, "is not a valid speed"),
     "speed of another mock": ("plc", ["--speed", "lock-step"], 2, "is for the UR mock"),
     "serial number in letters": ("ur", ["--serial", "abc"], 2, "digits"),
     "interface that is not there": ("can", ["--interface", "nonsense"], 2, "nonsense"),
     "two nodes for six joints": ("can", ["--nodes", "1", "2"], 2, "--nodes names 2 drives"),
-    "pose of two joints": ("ur can plc", ["--start-q-deg", "1", "2"], 2, "is no pose of the"),
+    "pose of two joints": ("ur can plc", ["--start-q-deg", "1", "2"], 2, "is not a pose of the"),
     "load below zero": ("ur can plc", ["--mounted-kg", "-1", "0", "0", "0"], 2, "--mounted-kg"),
     "faults nowhere": ("ur can plc", ["--faults", "FOLDER/nowhere.yaml"], 2, "nowhere.yaml"),
     **{
@@ -214,7 +214,7 @@ REFUSED: dict[str, tuple[str, list[str], int, str]] = {
         for number, what in enumerate(PLAN)
     },
     "journal nowhere": ("ur can plc", ["--journal", "FOLDER/nowhere/j"], 4, "write the journal"),
-    "truth nowhere": ("ur can plc", ["--truth", "FOLDER/nowhere/t"], 7, "cannot write"),
+    "truth nowhere": ("ur can plc", ["--ground-truth", "FOLDER/nowhere/t"], 7, "cannot write"),
 }
 """What cannot be: mocks, options, exit code, some of the message."""
 
@@ -279,18 +279,29 @@ def test_words_of_a_shell_are_a_request(words: list[str], request_: dict[str, An
 
 @pytest.mark.parametrize("words", [["state", "now"], ["fault", "a", "b"], ["clear", "=1"]])
 def test_words_that_are_no_request_are_refused(server: Server, words: list[str]) -> None:
-    with pytest.raises(SpecError, match="no KEY=VALUE"):
+    with pytest.raises(SpecError, match="not KEY=VALUE"):
         server.tell.request(words[0], words[1:])
 
 
-def test_tell_says_how_to_start_a_mock_where_none_runs(
+def test_send_says_how_to_start_a_mock_where_none_runs(
+    name: str, server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = str(tmp_path / "can.sock") if name == "can" else loopback()
+    assert server.module.main(["send", server.place_option, place, "state"]) == 4
+    said = capsys.readouterr().err
+    assert f"no {server.tell.who}" in said
+    assert f"next: start one: hil mock {name}" in said
+
+
+def test_the_former_name_of_send_is_accepted(
     name: str, server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     place = str(tmp_path / "can.sock") if name == "can" else loopback()
     assert server.module.main(["tell", server.place_option, place, "state"]) == 4
-    said = capsys.readouterr().err
-    assert f"no {server.tell.who}" in said
-    assert f"next: start one: hil mock {name}" in said
+    assert f"no {server.tell.who}" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        server.module.main(["--help"])
+    assert "tell" not in capsys.readouterr().out
 
 
 # The side channel
@@ -301,7 +312,7 @@ def test_a_shell_asks_for_a_fault_and_its_end(
     server: Server, running: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def ask(*words: str, code: int = 0) -> Any:
-        assert server.module.main(["tell", *server.here(running), *words]) == code
+        assert server.module.main(["send", *server.here(running), *words]) == code
         written = capsys.readouterr()
         return written.err if code else json.loads(written.out)
 

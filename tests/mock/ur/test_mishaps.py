@@ -76,7 +76,7 @@ def test_a_mistake_that_comes_again_is_told_once(capsys):
     for _ in range(3):
         machine.move(BrokenMotion())
         machine.tick()
-    assert capsys.readouterr().err.count("mistake of the mock") == 1
+    assert capsys.readouterr().err.count("internal error of the mock") == 1
     assert list(machine.mishaps.counts.values()) == [3]
 
 

@@ -343,7 +343,7 @@ def test_a_stop_is_caused_and_released_from_a_shell(capsys):
     with mock_ur("--speed", "10") as mock:
 
         def ask(*words):
-            return main(["tell", "--address", mock.address, *words])
+            return main(["send", "--address", mock.address, *words])
 
         assert ask("fault", "emergency_stop") == 0
         assert ask("pendant", "unlock") == 4

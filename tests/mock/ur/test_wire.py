@@ -398,7 +398,7 @@ def test_a_client_may_say_something(client):
         ("client_message", "me", "hi", 3)
     ]
     client.session.received(package(Kind.TEXT, b"\x09hi"))
-    assert client.session.dropped == {"a text message that is none": 1}
+    assert client.session.dropped == {"an invalid text message": 1}
 
 
 def names_of(values):

@@ -1,4 +1,4 @@
-"""`hil gains`: torque per motor current, from known loads or from the controller's own log."""
+"""`hil drive-gains`: torque per motor current, from known payloads or controller logs."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -16,26 +16,34 @@ app = typer.Typer()
 
 
 @app.command()
-def gains(
+def drive_gains(
     sources: SourcesArgument,
     robot: Annotated[
-        str, typer.Option("--robot", help="Built-in arm or URDF; by default what the data says.")
+        str,
+        typer.Option(
+            "--robot", help="Built-in arm or URDF file; default: the arm named in the recording."
+        ),
     ] = "",
     method: Annotated[
         str,
         typer.Option(
             "--method",
-            help="known-loads (dwells under several loads), controller (its currents and torques "
-            "were logged) or auto.",
+            help="Method: known-loads (dwells with several known payloads), controller (logged "
+            "currents and torques) or auto.",
         ),
     ] = "auto",
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Also write them here, for hil fit --gains.")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--out",
+            help="Also write the drive gains to this YAML file, for `hil fit --gains`.",
+        ),
     ] = None,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Drive gains [N·m/A] from known loads, or from the controller's own currents and torques."""
+    """Identify drive gains [N·m/A] from known payloads or from controller currents and torques."""
     from hil.estimators import write_gains
     from hil.evaluation import gains_of_sources
     from hil.runs import find_source
@@ -48,11 +56,11 @@ def gains(
         print_json(result)
     elif result["method"] == "controller":
         samples = result["samples"]
-        typer.echo(f"method: controller, its currents and torques in {samples} samples")
+        typer.echo(f"method: controller (logged currents and torques in {samples} samples)")
         _print(result, ("gain",), {"residual": map(_percent, result["residual_share"])})
     else:
         masses = ", ".join(f"{mass:g}" for mass in result["masses_kg"])
-        typer.echo(f"method: known loads, loads of {masses} kg at {result['poses']} poses")
+        typer.echo(f"method: known loads ({masses} kg at {result['poses']} poses)")
         _print(result, ("gain", "k1", "k2"), {})
 
 
@@ -61,7 +69,7 @@ COLUMNS = {
     "k1": ("K1 [N·m/A]", "_nm_a"),
     "k2": ("K2 [N·m/A²]", "_nm_a2"),
 }
-"""Headings, and units in the keys of the document."""
+"""Heading of each column of the table, and the unit in the key of the JSON document."""
 
 
 def _print(
@@ -86,7 +94,7 @@ def _print(
     for note in result["notes"]:
         typer.echo(f"  note: {note}")
     if result["yaml"]:
-        typer.echo("\nfor a station, an import map or hil fit --gains:")
+        typer.echo("\nfor a station file, an import map or hil fit --gains:")
     for line in result["yaml"]:
         typer.echo(line)
 

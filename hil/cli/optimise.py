@@ -1,4 +1,4 @@
-"""`hil excite`: what the trajectories of a spec are worth, and what they leave of every limit."""
+"""`hil optimise`: condition number and margins of the trajectories of a spec."""
 
 import math
 from collections.abc import Iterator
@@ -19,22 +19,23 @@ app = typer.Typer()
 
 
 @app.command()
-def excite(
+def optimise(
     spec: SpecArgument,
     station: StationOption = None,
     set_: SetOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--out", help="Where the page goes; by default NAME.excitation.html here."
+            "-o", "--out", help="HTML report; default: NAME.excitation.html in the current folder."
         ),
     ] = None,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Optimise again what the cache has, and replace it.")
+        bool,
+        typer.Option("--fresh", help="Ignore the cached result, optimise again and replace it."),
     ] = False,
     json: JsonFlag = False,
 ) -> None:
-    """Find the trajectories of a spec and show what they are worth; move nothing."""
+    """Optimise the excitation of a spec; report its condition number and margins."""
     from hil.cli.progress import ExcitationLine
     from hil.report import write_excitation_page
     from hil.workflow import appraise_excitation
@@ -61,11 +62,11 @@ def excite(
 def _origin(report: "ExcitationReport") -> str:
     total = len(report.appraisal.trajectories)
     if report.spec.optimise is None:
-        return f"{total} trajectories, drawn at random (excitation.optimise would optimise them)"
+        return f"{total} random trajectories (set excitation.optimise to optimise them)"
     if not report.computed:
         return f"{total} optimised trajectories, all from the cache"
     new = "all" if report.computed == total else f"{report.computed} of them"
-    return f"{total} optimised trajectories, {new} found in {duration(report.seconds)}"
+    return f"{total} optimised trajectories, {new} computed in {duration(report.seconds)}"
 
 
 def _print_conditions(report: "ExcitationReport") -> None:
@@ -78,10 +79,10 @@ def _print_conditions(report: "ExcitationReport") -> None:
         best = min(alone, key=lambda information: information.condition_scaled)
         closest = _mm(random.closest[1].distance_m)
         rows.append(("random", *_conditions(best), *_conditions(random.jointly), closest))
-    say("condition number: scaled and raw, of each alone and with those before it")
-    print_table(("", "scaled", "raw", "jointly", "raw", "clear mm"), rows)
+    say("condition number, scaled and raw: each trajectory alone, and jointly with earlier ones")
+    print_table(("", "scaled", "raw", "jointly", "raw", "clearance mm"), rows)
     if random is not None:
-        say("random: the best single one of as many random draws, and all of them jointly")
+        say("random: the best of as many random trajectories, and all of them jointly")
 
 
 def _conditions(information: "Information") -> tuple[str, str]:
@@ -100,13 +101,14 @@ MARGINS = {
     "jerk_rad_s3": ("jerk °/s³", DEGREES),
     "effort_nm": ("torque N·m", 1.0),
 }
-"""Margins in the order of the table: heading, and factor to its unit."""
+"""Heading of each margin, and the factor that converts the margin to the displayed unit, in the
+order of the table."""
 
 
 def _print_margins(report: "ExcitationReport") -> None:
     margins = report.appraisal.margins
     shown = [name for name in MARGINS if math.isfinite(margins[name].max())]
-    say("margins: what all of them leave of each limit")
+    say("margins: smallest distance of all trajectories to each limit")
     rows = [
         (f"J{j + 1}", *(f"{MARGINS[name][1] * margins[name][j] + 0.0:.3g}" for name in shown))
         for j in range(len(report.appraisal.joint_names))
@@ -119,11 +121,11 @@ def _sentences(report: "ExcitationReport") -> Iterator[str]:
     clearance = 1e3 * report.appraisal.limits.clearance_m
     yield (
         f"closest: {_mm(closest.distance_m)} mm between {' and '.join(closest.bodies)}, "
-        f"trajectory {number + 1} at {closest.at_s:.2f} s; {clearance:g} mm are kept"
+        f"trajectory {number + 1} at {closest.at_s:.2f} s; at least {clearance:g} mm are required"
     )
     if (errors := report.standard_errors()) is not None:
         ratios = sorted(errors.values())
         yield (
-            f"standard errors of the parameters, random draws over these: "
-            f"{ratios[len(ratios) // 2]:.2f} in the middle, {ratios[0]:.2f} to {ratios[-1]:.2f}"
+            f"standard errors of the parameters, ratio of random to these trajectories: "
+            f"median {ratios[len(ratios) // 2]:.2f}, range {ratios[0]:.2f} to {ratios[-1]:.2f}"
         )

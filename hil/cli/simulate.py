@@ -1,4 +1,4 @@
-"""`hil try-out`: what a model is worth to a controller, on a simulated arm."""
+"""`hil simulate`: test a model in controllers of a simulated arm."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,43 +16,51 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
-@app.command("try-out")
-def try_out(
+@app.command()
+def simulate(
     model: ModelArgument,
     out: Annotated[
-        Path, typer.Option("-o", "--out", help="Folder to make for the report.", show_default=False)
+        Path,
+        typer.Option("-o", "--out", help="Folder to create for the report.", show_default=False),
     ],
     station: Annotated[
         Path | None,
         typer.Option(
             "--station",
-            help="Station with the simulated arm the model was fitted on; by default $HIL_STATION, "
-            "station.yaml here, or a mock of its kind.",
+            help="Station with the mock robot the model was fitted to; default: $HIL_STATION, "
+            "station.yaml in the current folder, or a mock of the same arm.",
         ),
     ] = None,
     robot: Annotated[
-        str, typer.Option("--robot", help="Name in the station; by default the one that fits.")
+        str,
+        typer.Option(
+            "--robot",
+            help="Name of the robot in the station; default: the robot with the arm of the model.",
+        ),
     ] = "",
     payload: Annotated[
-        str, typer.Option("--payload", help="What is mounted: MASS_KG or MASS_KG,X_M,Y_M,Z_M.")
+        str, typer.Option("--payload", help="Mounted payload: MASS_KG or MASS_KG,X_M,Y_M,Z_M.")
     ] = "",
     seed: Annotated[
-        int, typer.Option("--seed", min=0, max=MOST_SEED, help="Of the trajectory.")
+        int, typer.Option("--seed", min=0, max=MOST_SEED, help="Random seed of the trajectory.")
     ] = 0,
     friction_share: Annotated[
         float,
-        typer.Option("--friction-share", help="Of the dry friction, compensated while led; < 1."),
+        typer.Option(
+            "--friction-share",
+            help="Share of the dry friction that is compensated during hand guiding, below 1.",
+        ),
     ] = FRICTION_SHARE,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Drive a simulated arm by torque with and without a model: tracking, and leading by hand."""
+    """Simulate torque control with and without the model: tracking and hand guiding."""
     from hil import api
     from hil.cli.progress import MovingLine
     from hil.runs import find_model
 
     with MovingLine() as line:
-        trial = api.try_out(
+        trial = api.simulate(
             find_model(model, runs),
             out,
             station=station,
@@ -70,7 +78,7 @@ def try_out(
 
 
 def _print(trial: "Trial", report: Path) -> None:
-    """Print where the page is, which has all tables, and what a reader must know."""
+    """Print warnings, summary and the path of the report, which contains all tables."""
     from hil.control import found
 
     result = found(trial)
@@ -81,16 +89,16 @@ def _print(trial: "Trial", report: Path) -> None:
 
 
 def _require_met(trial: "Trial") -> None:
-    """End with the exit code of a bad result if the model missed a criterion.
+    """Raise if the simulated model missed a criterion.
 
     Raises:
-        Rejected: It has.
+        Rejected: The model missed at least one criterion.
     """
     from hil.control import judged
 
     if missed := [criterion for criterion in judged(trial) if not criterion.met]:
         raise Rejected(
-            f"{trial.estimator} missed what it is held to: "
+            f"{trial.estimator} missed its criteria: "
             f"{', and '.join(criterion.asked for criterion in missed)}",
             hint="; ".join(dict.fromkeys(criterion.mend for criterion in missed)),
         )
