@@ -25,6 +25,14 @@ def test_what_pyproject_registers_is_installed() -> None:
         assert not missing, f"{group} in pyproject.toml has {missing}: run pip install -e ."
 
 
+def test_pre_commit_runs_the_ruff_of_the_constraints() -> None:
+    pinned = dict(
+        line.split("==") for line in (ROOT / "constraints.txt").read_text("utf-8").split()
+    )
+    hooks = (ROOT / ".pre-commit-config.yaml").read_text("utf-8")
+    assert f"rev: v{pinned['ruff']}\n" in hooks
+
+
 # What is built: the source distribution makes the wheel, and that has what the checkout has
 
 
