@@ -168,7 +168,7 @@ class Catch:
         return frames
 
     def _before_wrong(self, lengths: list[int]) -> int:
-        """Return the number of frames before an invalid packet; raise if this number is 0."""
+        """Return the number of frames before an invalid packet; raise if no frame precedes it."""
         at = next(at for at, length in enumerate(lengths) if length != _SIZE)
         self._wrong = ConnectionError(
             f"a packet of at least {lengths[at]} bytes is not a frame"

@@ -219,7 +219,7 @@ class Hub:
 
 
 def _is_sendable(raw: bytes) -> bool:
-    """Return whether a frame is a valid data or remote frame, because others must not be sent."""
+    """Return whether a frame is a data or remote frame, which participants are allowed to send."""
     can_id = int.from_bytes(raw[:4], "little")
     longest = ID_MASK if can_id & EXTENDED else 0x7FF
     return not can_id & ERROR and raw[4] <= 8 and can_id & ID_MASK <= longest
@@ -358,7 +358,7 @@ class Participants:
 
 
 BATCH = 32
-"""Maximum number of frames received from a participant before the next one is served."""
+"""Maximum number of frames received from a participant before the next participant."""
 
 MOST_WAITING = 65_536
 """Maximum number of frames that wait for a participant before its connection is closed."""

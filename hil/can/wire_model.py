@@ -1,8 +1,8 @@
 """Model of the wire of a classic CAN bus: one frame at a time, the lowest identifier first.
 
 The model is deterministic and has no clock: the caller passes the time with every call. In the
-model each frame has the maximum number of stuff bits. Therefore frames that fit onto the modelled
-wire also fit onto a real wire. Transmission errors are not modelled.
+model each frame has the maximum number of stuff bits. Frames that fit onto the modelled wire
+therefore also fit onto a real wire. Transmission errors are not modelled.
 
 Frames wait in transmit queues until the wire is free. A participant with one controller sends in
 the order of its program (`InOrder`). A participant with many controllers sends the lowest

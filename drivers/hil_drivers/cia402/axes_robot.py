@@ -2,8 +2,8 @@
 
 `AxesRobot` forwards the calls of `hil.robot.Robot` to a `Session` and selects the field bus.
 Another thread can call `stop` at any moment, also while the drives are being connected or a segment
-is being prepared. Therefore `_stops` counts the stops, and a connection or preparation that began
-before the last stop is refused.
+is being prepared. The attribute `_stops` counts the stops, so that a connection or preparation that
+began before the last stop is refused.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The state machine (`State`, `Goal`, controlwords) consists of pure functions: the next controlword
 follows from the newest statusword of the drive and from the goal. The module stores no copy of the
-drive's state, so a stored state can never differ from the real one. All axes pass the states
+drive's state, so a stored state can never differ from the real state. All axes pass the states
 together. The following table contains, for each state and goal, the controlword and the next state
 of the drive:
 
@@ -320,7 +320,7 @@ class BrakeWatch:
         self._seen.clear()
 
     def complaint(self, axis: int, for_s: float) -> str:
-        """Return why a powered axis must lose its voltage; empty text if it brakes as required.
+        """Return why a powered axis must lose its voltage; an empty text if the axis brakes.
 
         Args:
             axis: Number of the axis, from 0.

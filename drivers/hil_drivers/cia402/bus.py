@@ -16,8 +16,8 @@ A bus has two interfaces, because two kinds of threads use the bus:
   argument permits.
 
 Answers to acyclic requests arrive on the same bus as the process data. Therefore a thread must
-receive frames while an object is read: the cycle thread, or the thread of `pumping` if there are no
-cycles.
+receive frames while an object is read: the cycle thread, or the thread of `pumping` if no cycles
+run.
 """
 
 from __future__ import annotations

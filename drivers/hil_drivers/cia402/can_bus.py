@@ -346,7 +346,7 @@ class CanopenAcyclic:
         return self._network.add_node(node)
 
     def _request(self, axis: int, entry: Entry, what: str, ask: Callable[[Any], Any]) -> Any:
-        """Send SDO requests, one at a time per node, and repeat those without an answer."""
+        """Send SDO requests, one at a time per node, and repeat requests without an answer."""
         self._expected.pop((axis, entry.index, entry.sub), None)  # drop an older request
         with self._locks[axis]:
             for _ in range(TRIES):
@@ -510,7 +510,7 @@ class _PdoOf:
     """Configuration objects of one PDO of one drive, written in pre-operational (CiA 301).
 
     All methods raise `CommandRefused` if the drive does not accept a value or reads back a
-    different one, and `RobotTimeout` if the drive does not answer.
+    different value, and `RobotTimeout` if the drive does not answer.
     """
 
     def __init__(

@@ -5,8 +5,8 @@
 - `FramePort` is the interface that the cycles use to send and receive 16-byte frames (`hil.can`)
   without waiting. If `python-can` has a socket for raw frames (SocketCAN, a bus between processes),
   `SocketPort` uses that socket, and `sending` and `receiving` move all frames of a cycle with one
-  system call. If the adapter has no such socket, `PythonCanPort` sends and receives the frames one
-  by one.
+  system call. If an adapter has no socket for raw frames, `PythonCanPort` sends and receives the
+  frames one by one.
 - `BusLog` logs all frames in the format of `candump -L`. The thread that owns the bus never waits
   for a disk.
 - `load_of` computes the bus load of a mapping at a rate, and `require_room` raises if the load is
@@ -118,9 +118,9 @@ class CanChannel:
         return not (vcan or self.interface in SIMULATED)
 
     def finding(self) -> Finding:
-        """Return whether the bus is up, as far as this is detectable without sending a frame.
+        """Return whether the bus is up, as far as the driver can detect without sending a frame.
 
-        No frame is sent for this check: drives answer only a master, and another master is possibly
+        The check sends no frame: drives answer only a master, and another master is possibly
         active.
         """
         if self.interface == "socketcan":

@@ -307,8 +307,8 @@ MOST_NAP_SHARE = 0.5
 NAP_LONGER, NAP_SHORTER = 1.05, 0.99
 """Factors by which the sleep time after SYNC grows if it was too short, and else shrinks.
 
-With these factors about five of six sleeps are long enough, and a single slow cycle changes the
-sleep time only little.
+With the factors 1.05 and 0.99 about five of six sleeps are long enough, and a single slow cycle
+changes the sleep time only little.
 """
 
 SOON_TIMES, SOON_S = 2.0, 5e-4
@@ -427,12 +427,12 @@ class Collector:
             self._nap_s *= NAP_SHORTER
 
     def _settle(self, synced_s: float, give_up_s: float, all_came: bool) -> bool:
-        """Return whether all answers belong to this SYNC after earlier answers were missing.
+        """Return whether all answers belong to the present SYNC after answers were missing.
 
         The method waits until `give_up_s` for second answers. If no second answer is received, the
-        missing answer counts as lost, provided that the present answer was prompt and that at least
-        one slot was not missing an answer. If answers of all slots are missing, probably all drives
-        are slow.
+        missing answer counts as lost, provided that the present answer was prompt and that no
+        answer was missing in at least one slot. If answers of all slots are missing, probably all
+        drives are slow.
         """
         debts, soon_s = self._debts, synced_s + SOON_TIMES * self._usual_s + SOON_S
         if all_came:
@@ -822,7 +822,7 @@ class MasterWatch:
         self._allowed_until_s = 0.0
 
     def heard(self, can_id: int, data: bytes) -> str:
-        """Return why a frame of another sender is a problem; empty if it is permitted."""
+        """Return why a frame of another sender is a problem; an empty text if it is permitted."""
         name = self._names.get(can_id)
         if name is None:
             return ""

@@ -1,18 +1,19 @@
 """Check and configure the drives before the first cycle, and restore them after the last cycle.
 
-Three steps are used in this order. First, `inspected` reads the objects of every drive and compares
-them with the station and the arm. Nothing is written to a drive before this check has passed.
-Second, `configured` writes the settings of each drive and reads every setting back. Third,
-`set_mode` and `declare` write objects that are not in the process data: the mode of operation, and
-a payload for drives that have an object for it (mock drives have one; real drives have none).
+The functions are used in the following order. First, `inspected` reads the objects of every drive
+and compares their values with the station and the arm. Nothing is written to a drive before the
+check by `inspected` has passed. Second, `configured` writes the settings of each drive and reads
+every setting back. Third, `set_mode` and `declare` write objects that are not in the process data:
+the mode of operation, and a payload for drives with a payload object (mock drives have such an
+object, real drives do not).
 
 Connecting resets a fault that a drive already has (`faults_left`) only if the fault is a monitoring
 error (8xxxh: heartbeat or SYNC lost, a following error). A monitoring error results from commands
 of an earlier connection, which have ended. All other faults concern currents, voltages,
 temperatures or hardware: an operator must check such a fault and reset it with `python -m
 hil_drivers.cia402 reset`. For the drives, the end of a connection is also a monitoring error, which
-can hide an earlier error. Therefore connecting considers all errors that a drive has listed since
-its last reset.
+can hide an earlier error. When connecting, the driver therefore considers all errors that a drive
+has listed since its last reset.
 
 This module is independent of the type of bus; each bus adds the settings that it requires
 (`Acyclic.settings`).
@@ -91,7 +92,7 @@ class Drive:
 
     @property
     def limits_rad(self) -> tuple[float, float]:
-        """Lower and upper position limit of the drive (607Dh) [rad]; NaN if it has none."""
+        """Lower and upper position limit of the drive (607Dh) [rad]; NaN if not set."""
         low = self.objects.get("position_limit_min", 0)
         high = self.objects.get("position_limit_max", 0)
         if low == high or abs(high - low) >= WRAP - 2:
@@ -368,7 +369,7 @@ def profile_of(
 
 
 def _other_gear(own: float, arms: float) -> str:
-    """Return why the gear ratio of a drive is rejected; empty if it equals that of the arm."""
+    """Return why the gear ratio of a drive is rejected; empty if the arm has the same ratio."""
     if math.isclose(own, arms, rel_tol=_SAME_GEAR):
         return ""
     if own == 1.0:

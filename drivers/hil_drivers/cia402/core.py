@@ -51,7 +51,7 @@ ENABLED_WITHIN_S, CHANGED_WITHIN_S = 10.0, 5.0
 """Longest time for enabling all axes, and for any other change of state or mode [s]."""
 
 SETTLE_S, MEAN_S = 0.2, 0.1
-"""Device time of the wait before torques are measured, and of their averaging [s]."""
+"""Device time of the wait before a torque measurement, and of the measurement [s]."""
 
 END_S = 3.0
 """Device time that all axes get for braking and switching off [s].

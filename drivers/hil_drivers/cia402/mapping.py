@@ -114,7 +114,8 @@ ALL_MODES = Mapping(
 )
 """Mapping for CSP with torque feed-forward, CSV, CST, and switching between these modes.
 
-With this mapping a cycle of six axes has 25 frames, which are 65 to 79 % of 1 Mbit/s at 250 Hz.
+With the mapping `all-modes`, a cycle of six axes has 25 frames, which are 65 to 79 % of 1 Mbit/s at
+250 Hz.
 """
 
 MINIMAL = Mapping(

@@ -248,7 +248,7 @@ def farthest(a: Sequence[int], b: Sequence[int], scale: Sequence[float]) -> tupl
 FADE_S = 0.5
 """Duration over which a step in the feed-forward torque is faded [s].
 
-Such steps result from model errors and from changes of the mode.
+Steps in the feed-forward torque result from model errors and from changes of the mode.
 """
 
 

@@ -1,8 +1,8 @@
 """Driver of an arm on CiA 402 drives; a separate process owns the bus and its clock.
 
 `AxesRobot` executes the cycles in the separate process, and `Cia402Robot` forwards calls to that
-process. Therefore the caller and the cycles cannot delay each other. If the separate process does
-not stop the arm, `Cia402Robot` sends the stop to the drives directly.
+process. Because of the separate process, the caller and the cycles cannot delay each other. If the
+separate process does not stop the arm, `Cia402Robot` sends the stop to the drives directly.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Record of a cycle, and its conversion to rows of a recording.
 
 `cycle_dtype` returns the layout of the record that each cycle stores, with the bytes as they were
-on the bus. `StateRows` converts records to the base robot record; `raw_rows` converts them to a
+on the bus. `StateRows` converts records to the base robot record; `raw_rows` converts records to a
 topic with every integer. A state row pairs the measurement at SYNC k with the set-point due at SYNC
 k. At SYNC k−1, drives apply the set-point sent in cycle k−2, and reach this set-point at SYNC k
 (60C2h is one period).
@@ -191,8 +191,8 @@ class StateRows:
         """Fill in the set-points that were sent `LATENCY` cycles earlier.
 
         The set-point of the next cycle is already known, because the master has sent that set-point
-        in the meantime. Therefore velocities and accelerations are central differences, without a
-        delay of half a cycle.
+        in the meantime. Velocities and accelerations of the set-points are therefore central
+        differences, without a delay of half a cycle.
         """
         n = len(rows)
         values = raw_values(cycles, self._mapping)
@@ -224,7 +224,7 @@ def _numpy_code(mapping: Mapping, entry: Entry) -> str:
 def _scaled(
     values: MappingOf[str, IntArray], name: str, in_si: Callable[[IntArray], FloatArray]
 ) -> FloatArray:
-    """Return (N, n) values of an object in SI units; a single NaN if it is not mapped."""
+    """Return (N, n) values of an object in SI units; a single NaN if the object is not mapped."""
     return in_si(values[name]) if name in values else np.asarray(np.nan)
 
 

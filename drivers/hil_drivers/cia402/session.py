@@ -7,7 +7,7 @@ the cycles (`core`), the motion (`player`) and the torque model. `Session.findin
 preflight checks of the driver. The module also contains three classes that only a connected arm
 needs:
 
-- `Samples` takes the records of the cycles and converts them to rows.
+- `Samples` takes the records of the cycles and converts the records to rows.
 - `Trouble` detects problems of the arm and raises each problem at the next read.
 - `Thermometer` requests the motor temperatures of the drives while the cycles run.
 
@@ -424,7 +424,7 @@ class Session:
 
 
 def outside_of(q: FloatArray, limits: Limits, names: Sequence[str]) -> list[str]:
-    """Return a message for each joint outside of its range, which means wrong scaling.
+    """Return a message, about wrong scaling, for each joint that is outside of its range.
 
     Args:
         q: (n,) joint positions [rad].

@@ -244,7 +244,7 @@ class Supervisor:
         judge.settle(inputs, self.phase)
 
     def take_problem(self) -> str:
-        """Return and clear the problem that stopped all axes, with their states; else return ""."""
+        """Return and clear the problem that stopped all axes, with their states; empty if none."""
         waited = self._cycle - self._complaints.since >= TOLD_AFTER_S / self._period_s
         if not self._complaints or not waited:
             return ""
@@ -316,7 +316,7 @@ class Supervisor:
             self._give_up(wrong)
 
     def _brake(self, inputs: Inputs) -> None:
-        """Send quick stops until no axis carries current; silent axes possibly receive these."""
+        """Send quick stops until no axis carries current, also to axes that do not answer."""
         carrying = [axis for axis in range(self._n) if self._states[axis] in POWERED]
         self._switch_off_what_does_not_brake(carrying, inputs)
         answering = any(self._judge.answers(axis) for axis in carrying)
@@ -429,7 +429,8 @@ class Judge:
     def is_calm(self, inputs: Inputs, mode: Sequence[int]) -> bool:
         """Return whether statuswords and modes equal those of the last fault-free cycle.
 
-        With this comparison, the check of every single axis is not needed in most cycles.
+        Because of the comparison with the last fault-free cycle, most cycles need no check of every
+        single axis.
         """
         return (
             inputs.statusword == self._calm
@@ -537,7 +538,7 @@ class Complaints:
         self._of_bus, self._of_axes = [], {}
 
     def add(self, axis: int | None, what: str, cycle: int) -> None:
-        """Add a problem if it is new; `axis` is None for a problem of the bus or of all axes."""
+        """Add a problem that is new; `axis` is None for a problem of the bus or of all axes."""
         if not self:
             self.since = cycle
         known = self._of_bus if axis is None else self._of_axes.setdefault(axis, [])

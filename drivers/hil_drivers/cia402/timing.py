@@ -30,7 +30,7 @@ FREE_PATIENCE_S = 0.25
 """Longest wait for answers if cycles have no deadlines [s]."""
 
 FREE_MISSES, FREE_IMPATIENCE_S = 2, 0.01
-"""Number of consecutive incomplete cycles, and shorter wait for answers after these [s].
+"""Number of consecutive incomplete cycles after which the wait is shortened; this wait [s].
 
 Because of the shorter wait, a silent drive does not stretch seconds of device time to minutes.
 """
@@ -73,7 +73,7 @@ class Schedule:
     def wait(self, idle: Callable[[float], None]) -> bool:
         """Wait until the next cycle is due; return whether it begins late.
 
-        After a late cycle the later start times shift. Therefore the time between two cycles is
+        After a late cycle the later start times shift. The time between two cycles is therefore
         never shorter than (1 − `LATE_SHARE`) of the period.
 
         Args:
@@ -210,7 +210,7 @@ PRIORITY = 50
 SWITCH_S = 2e-4
 """Time after which another Python thread must release the interpreter [s].
 
-The default of Python for this time is 5 ms.
+Python's default for the switch interval is 5 ms.
 """
 
 SOON_NICE = -10

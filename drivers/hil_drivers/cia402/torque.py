@@ -2,8 +2,8 @@
 
 The torques are feed-forward values for the drives: a torque offset in CSP (60B2h), the torque
 set-point in CST (6071h). Before any torque is sent, `GravityComparison` compares the torques that
-the drives measure while they hold the arm with the gravity torques of the model. The comparison
-detects a wrong sign or scale of torque without any motion.
+the drives measure on the holding arm with the gravity torques of the model. The comparison detects
+a wrong sign or scale of torque without any motion.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def _robot_model(model: str, urdf: str, gravity: tuple[float, float, float]) -> 
 NOTICEABLE = 0.10
 """Minimum gravity torque for the comparison, as a share of the joint's largest torque.
 
-A gravity torque below this share cannot be distinguished from friction.
+A gravity torque below the minimum cannot be distinguished from friction.
 """
 
 FRICTION = 0.06

@@ -1,8 +1,9 @@
 """Segment of a plan, checked and converted to the drives' integers, one row per cycle.
 
 A segment can begin at a small distance from the held set-point, because a brake slipped, or because
-friction stops an arm under position control by the master beside its set-point. In this case the
-track first moves to the start of the segment, in at least `REACHED_S`.
+friction stops an arm under position control by the master beside its set-point. If a segment begins
+at a distance, the track first moves from the held set-point to the start of the segment, in at
+least `REACHED_S`.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ def track_of(
     led: bool = False,
     first: bool = False,
 ) -> Track:
-    """Check a segment and convert it to the drives' integers.
+    """Check a segment and convert its samples to the drives' integers.
 
     Args:
         segment: Next segment.

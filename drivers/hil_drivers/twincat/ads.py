@@ -5,7 +5,7 @@ the connection from one ADS port of this computer to the PLC. On Linux `pyads` c
 router, so this computer needs no TwinCAT. The PLC needs a route back to this computer. Requests of
 one ADS port are executed one after the other, so urgent requests use a separate line. All lines to
 one PLC share one TCP connection. `pyads` deletes the route to the PLC when any line is closed.
-Therefore the driver closes all lines before it opens new lines.
+Before the driver opens new lines to a PLC, it therefore closes all old lines.
 
 `error_of` converts ADS return codes to exceptions of `hil`, one class for each remedy. The error
 types of `pyads` do not distinguish a missing route, a runtime that is not running, and a program

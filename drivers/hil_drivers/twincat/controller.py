@@ -1,8 +1,9 @@
 """Connection to one PLC, for control of the arm, commands, stops and heartbeat.
 
 `Controller` rejects a PLC that does not match the station, then takes control of the arm. Requests
-on one line are executed one after the other. Therefore the controller opens three lines to the PLC:
-for the heartbeat, for stops, and for all other requests. Three classes use the lines to the PLC:
+on one line are executed one after the other. The controller therefore opens three separate lines to
+the PLC: for the heartbeat, for stops, and for all other requests. Three classes use the lines to
+the PLC:
 
 - `Orders` sends commands, one at a time. An answer contains the session and the number of its
   command, so that an old answer, or an answer to another client, is never accepted.
@@ -54,8 +55,8 @@ ANSWER_S, BEAT_S, STOP_S = 1.0, 0.2, 0.03
 TAKE_S, SURE_S = 3.0, 0.5
 """Two time-outs for taking control of the arm [s].
 
-The first time-out is the longest wait for an arm that is braking. The second time-out is added to
-the watchdog time of the PLC: it is the longest wait until the PLC detects the death of an earlier
+Of the two time-outs, the first is the longest wait for an arm that is braking. The second time-out,
+plus the watchdog time of the PLC, is the longest wait until the PLC detects the death of an earlier
 client.
 """
 
@@ -148,8 +149,8 @@ class Controller:
 
         Raises:
             RobotConnectionError: The PLC was not reached, or the PLC's program does not show the
-                stop. In this case the heartbeat was ended, so that the PLC's watchdog stops the
-                arm.
+                stop. If the stop fails in this way, the heartbeat was ended, so that the PLC's
+                watchdog stops the arm.
         """
         try:
             self.stops.give()
@@ -423,7 +424,7 @@ class Stops:
         return state, seen
 
     def give(self) -> None:
-        """Write a stop and wait until the PLC's program shows it; any thread can call this.
+        """Write a stop and wait until the PLC's program shows the stop; any thread can call this.
 
         Raises:
             RobotTimeout: The program of the PLC does not show the stop in time.

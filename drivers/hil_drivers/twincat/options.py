@@ -81,7 +81,7 @@ class Options:
     def route(self) -> Address:
         """Address of the PLC; see `hil.robot.HasAddress`.
 
-        An ADS router on this computer can forward to a real PLC. Therefore only the AMS net id
+        An ADS router on this computer can forward to a real PLC. Only the AMS net id therefore
         shows whether the PLC is real.
         """
         here = is_loopback(self.host[0]) and self.ams_net_id.startswith("127.")

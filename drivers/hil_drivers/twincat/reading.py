@@ -2,12 +2,12 @@
 
 The PLC writes one row per cycle into a ring buffer. `Ring` fetches the rows in blocks: each row
 exactly one time and in order. `Ring` also counts rows that were overwritten before they were read.
-A row contains its number at both ends. Thus a row that was read while the PLC wrote it is detected
-and read again. `Watch` determines from the rows and from the PLC's state whether the arm moves,
-whether another client controls the arm, and whether the PLC's task runs. `Reading` combines `Ring`
-and `Watch`: a read waits for a block until the time-out, and ends a motion if the PLC writes no
-rows. `state_rows` and `reading_rows` convert rows of the ring buffer to the base record and to a
-separate topic.
+A row contains its number at both ends. From the two numbers, `Ring` detects a row that was read
+while the PLC wrote the row, and reads the row again. `Watch` determines from the rows and from the
+PLC's state whether the arm moves, whether another client controls the arm, and whether the PLC's
+task runs. `Reading` combines `Ring` and `Watch`: a read waits for a block until the time-out, and
+ends a motion if the PLC writes no rows. `state_rows` and `reading_rows` convert rows of the ring
+buffer to the base record and to a separate topic.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Reading:
         return rows
 
     def _await_rows(self, timeout_s: float) -> np.void:
-        """Wait for a complete block, or longer for an incomplete one; return the PLC's state."""
+        """Wait for a complete block or, for a longer time, for any rows; return the PLC's state."""
         began, wanted, rate = time.monotonic(), self._options.block_rows, self._options.rate_hz
         until = began + timeout_s
         enough = min(until, began + 1.5 * wanted / rate)
@@ -302,7 +302,7 @@ class Ring:
         )
 
     def _skip_to(self, number: int) -> None:
-        """Skip all rows before a row number; count adjacent gaps as one gap."""
+        """Skip all rows before a row number; count adjacent gaps as one."""
         self.gaps += self.next != self._behind_gap
         self.lost += number - self.next
         self.next = self._behind_gap = number
@@ -323,8 +323,8 @@ def state_rows(raw: StructArray, offers: int) -> StructArray:
 
     Args:
         raw: (N,) rows of the ring buffer.
-        offers: Value of `nOffers`, whose bits state which quantities the PLC measures; all others
-            become NaN.
+        offers: Value of `nOffers`, whose bits state which quantities the PLC measures; quantities
+            that are not measured become NaN.
     """
     rows = np.zeros(len(raw), state_dtype(raw.dtype["aQ"].shape[0]))
     rows["device_time"] = raw["nTimeNs"] * NS

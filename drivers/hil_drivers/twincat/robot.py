@@ -2,10 +2,10 @@
 
 The driver uploads a segment; the PLC checks the segment and executes one set-point per cycle.
 During the motion the driver fetches rows from a ring buffer, into which the PLC writes in every
-cycle (`reading`). Only heartbeats and stops must be punctual. Therefore each has a separate line to
-the PLC (`controller`, with the lines of `ads`). If a command gets no answer, the PLC possibly
-executes it later. After a command without an answer the driver sends a stop, and refuses further
-commands until `connect` is called again.
+cycle (`reading`). Only heartbeats and stops must be punctual. Heartbeats and stops therefore each
+have a separate line to the PLC (`controller`, with the lines of `ads`). If a command gets no
+answer, the PLC possibly executes the command later. After a command without an answer the driver
+sends a stop, and refuses further commands until `connect` is called again.
 
 Driver and PLC communicate by variables, which are defined in a contract (`variables`). The PLC
 program in docs/how-to/drive-twincat.md implements the PLC's side of the contract.

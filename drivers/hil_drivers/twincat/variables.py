@@ -5,11 +5,11 @@ returns the layout of every variable. When connecting, `Variables` requests the 
 variables and compares their sizes with the layouts. Later `Variables` reads the variables as
 structures.
 
-Online changes of the PLC program can move variables in memory. Therefore every read also requests
-the symbol version, and variables are written by handle, because a changed PLC program rejects old
-handles. Parts of an array cannot be written by handle. Therefore the driver reads the symbol
-version before each chunk of set-points, and the PLC computes checksums of the received words
-(`sums_of`).
+Online changes of the PLC program can move variables in memory. For this reason, every read also
+requests the symbol version, and variables are written by handle, because a changed PLC program
+rejects old handles. Parts of an array cannot be written by handle. For the array of set-points, the
+driver therefore reads the symbol version before each chunk of set-points, and the PLC computes
+checksums of the received words (`sums_of`).
 """
 
 from __future__ import annotations
@@ -340,8 +340,9 @@ def upload(rows: StructArray, write: Write, chunk_bytes: int) -> None:
 def sums_of(rows: StructArray) -> tuple[int, int]:
     """Return the two Fletcher checksums of set-points, modulo 2³².
 
-    The first checksum is the sum of all 32-bit words. The second checksum is the sum of the
-    intermediate sums, and therefore depends on the order of the words (Fletcher, 1982).
+    Of the two checksums, the first is the sum of all 32-bit words. The second Fletcher checksum is
+    the sum of the intermediate sums, and therefore depends on the order of the words (Fletcher,
+    1982).
     """
     words = np.frombuffer(rows.tobytes(), "<u4").astype(np.uint64)
     # The products wrap at 2⁶⁴, which does not change the result modulo 2³².

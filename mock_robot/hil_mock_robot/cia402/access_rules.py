@@ -1,12 +1,12 @@
 """Rules for the SDO access of a client to the objects of a mock drive.
 
-The rules follow CiA 301. They concern the existence of an object, access, length and range of its
-value, the device state, COB-IDs, and the order in which a PDO is configured. A PDO is configured in
-this order: invalidate the PDO (bit 31 of its COB-ID), set the number of mapped objects to 0, write
-the mapped objects, set their number, make the PDO valid again. Writes to the mapping or inhibit
-time of a valid PDO are refused with 0800 0022h. Writes of a mapping entry are refused with the same
-code while the number of mapped objects is not 0. `MockNode` refuses all writes to PDO objects in
-the NMT state operational, as many drives do.
+The rules follow CiA 301. The rules concern the existence of an object, access, length and range of
+its value, the device state, COB-IDs, and the order in which a PDO is configured. A PDO is
+configured in this order: invalidate the PDO (bit 31 of its COB-ID), set the number of mapped
+objects to 0, write the mapped objects, set their number, make the PDO valid again. Writes to the
+mapping or inhibit time of a valid PDO are refused with 0800 0022h. Writes of a mapping entry are
+refused with the same code while the number of mapped objects is not 0. `MockNode` refuses all
+writes to PDO objects in the NMT state operational, as many drives do.
 """
 
 from __future__ import annotations

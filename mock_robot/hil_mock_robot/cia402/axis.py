@@ -327,9 +327,9 @@ class Between:
     """Set-point generator that interpolates between the targets of two SYNCs by a cubic.
 
     The speed at a target is the speed of the parabola through this target and the two targets
-    before. Thus the speed depends only on past targets, and straight lines between targets with
-    their torque ripple are avoided. If no further target arrives, the set-point decelerates to
-    rest.
+    before. With this rule, the speed of the set-point depends only on past targets, and straight
+    lines between targets with their torque ripple are avoided. If no further target arrives, the
+    set-point decelerates to rest.
 
     Args:
         q: Initial position [rad].

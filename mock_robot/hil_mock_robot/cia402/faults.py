@@ -1,4 +1,4 @@
-"""Faults that the mock drives can inject, one class per fault (mock-can-faults.md).
+"""Injectable faults of the mock drives, one class each (docs/reference/mock-can-faults.md).
 
 Most faults act on one axis or on all axes: `strike` and `heal` begin and end the fault in one
 drive. `bus_off` can act on the master's side of the bus instead.
@@ -257,7 +257,7 @@ class BusOff(CanFault, kind="bus_off", lasts=True):
 def faults_of_station(
     station: Station, master: MasterEnd, planned: Sequence[CanFault] = ()
 ) -> Faults[Target]:
-    """Return the fault injection of one mock, with the faults planned on its command line.
+    """Return the fault injection of one mock, with the faults that are planned from the start.
 
     Raises:
         SpecError: A planned fault is invalid for its axis.

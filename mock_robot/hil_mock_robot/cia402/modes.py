@@ -273,8 +273,8 @@ class ProfilePosition:
     """PP: trapezoidal motion (6081h, 6083h, 6084h) to 607Ah at a rising edge of controlword bit 4.
 
     If controlword bit 5 is set, the new target replaces the present target. If bit 5 is not set,
-    one target waits until the present target is reached. If controlword bit 6 is set, the target is
-    relative to the last target. Bit 12 of the statusword acknowledges the set-point.
+    the new target waits until the present target is reached. If controlword bit 6 is set, the
+    target is relative to the last target. Bit 12 of the statusword acknowledges the set-point.
     """
 
     def __init__(self, axis: Axis) -> None:
