@@ -48,5 +48,5 @@ def test_the_examples_do_what_the_page_says(model, monkeypatch, capsys, tmp_path
 def test_settings_are_those_of_the_code() -> None:
     assert f"K is {GAIN:g} 1/s" in PAGE
     assert f"for {1e3 * DEBOUNCE_S:g} ms (`debounce_s`)" in PAGE
-    assert f"By default {QUANTILE:g} standard deviations" in PAGE
+    assert f"threshold of each joint is {QUANTILE:g} standard deviations" in PAGE
     assert f"some {FADES_S:g} s after a start" in PAGE
