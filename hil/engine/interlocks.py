@@ -427,7 +427,7 @@ def _clearance(spec: Any, context: InterlockContext) -> Interlock | str:
 
 def _recorder(spec: Any, context: InterlockContext) -> Interlock | str:
     if context.clock == "virtual":
-        return "not needed: the virtual clock waits for the recorder"
+        return "not needed on a virtual clock"
     if context.behind_s is None:
         return "nothing is recorded"
     return Backlog(context.behind_s, spec.behind_s, action=spec.action)
@@ -441,7 +441,7 @@ def _disk(spec: Any, context: InterlockContext) -> Interlock | str:
 
 def _speed_scaling(spec: Any, context: InterlockContext) -> Interlock | str:
     if context.speed_scaling is None:
-        return "the robot does not report its speed scaling"
+        return "not reported by the robot"
     return SpeedScaling(context.speed_scaling, action=spec.action)
 
 

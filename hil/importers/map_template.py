@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.arms import load_arm
 from hil.core import FloatArray
+from hil.dynamics import RobotModel
 
 RATE_HZ, DURATION_S = 100.0, 20.0
 
@@ -41,9 +43,6 @@ def sample_map(robot: str) -> tuple[str, str]:
     Raises:
         SpecError: No built-in arm has this name.
     """
-    from hil.arms import load_arm
-    from hil.dynamics import RobotModel
-
     arm = load_arm(robot)
     t, q, qd, qdd = _motion(len(arm.joint_names))
     torque = RobotModel.from_arm(robot).inverse_dynamics(q, qd, qdd)

@@ -276,7 +276,7 @@ def test_output_that_cannot_be_written_exits_7(arguments: str) -> None:
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
     assert done.returncode == 7
     assert "RecordingError: standard output: No space left on device" in done.stderr
-    assert "next: make room" in done.stderr
+    assert "next: free disk space" in done.stderr
     assert "Traceback" not in done.stderr
 
 

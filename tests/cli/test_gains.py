@@ -52,7 +52,7 @@ def test_gains_of_the_mock_are_found(run: Path) -> None:
 @pytest.mark.thorough
 def test_people_are_told_gains_reasons_and_lines_to_copy(run: Path) -> None:
     text = told(run)
-    assert "loads of 0, 3 kg at 8 poses" in text
+    assert "known loads (0, 3 kg at 8 poses)" in text
     assert "shoulder_pan_joint: the payloads cause no torque about the axis of this joint" in text
     assert "\ndrive_gains_nm_a: [10.150, " in text
 

@@ -464,7 +464,7 @@ def test_it_states_which_effort_it_needs_and_keeps_its_unit(case: str) -> None:
         refused_prediction(case, in_torques(new(case)))
     )
     if unfitted(case).needs(nominal()).effort == "current":
-        assert "hold a torque" in refusal(case, in_torques(known(case))).message
+        assert "contain a torque" in refusal(case, in_torques(known(case))).message
         return
     model = unfitted(case).fit(in_torques(known(case)), nominal())
     assert (model.effort_kind_, model.gains_source_) == ("torque", "")

@@ -347,7 +347,7 @@ def test_without_its_model_a_campaign_says_why(robot: Robot, tmp_path: Path, rec
     run = shutil.copytree(recorded["campaign"], tmp_path / "broken")
     shutil.rmtree(run / "fit")
     robot.recorded = robot.recorded | {"campaign": run}
-    with pytest.raises(FitError, match="has no rigid-wls: it was removed"):
+    with pytest.raises(FitError, match="has no model of rigid-wls: it was removed"):
         robot.due(0)
 
 

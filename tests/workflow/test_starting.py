@@ -78,7 +78,7 @@ def test_what_is_wrong_is_told_before_anything_is_started(tmp_path: Path) -> Non
 def test_a_schedule_is_not_started_so(tmp_path: Path) -> None:
     schedule = tmp_path / "weekly.yaml"
     schedule.write_text("hil_schedule: 1\nname: weekly\n")
-    with pytest.raises(SpecError, match="runs by itself"):
+    with pytest.raises(SpecError, match="is a schedule, not an experiment"):
         check_start(schedule, None)
 
 
@@ -111,7 +111,7 @@ def test_what_a_record_claims_to_be_its_process_is_not_ended(tmp_path: Path, giv
         ticks = background_runs.ticks_of(other.pid)
         forged = Started("x", str(tmp_path), "s", "", "", other.pid, ticks, 0.0, platform.node())
         assert forged.alive
-        with pytest.raises(DataError, match="left alone"):
+        with pytest.raises(DataError, match="was not stopped, because"):
             forged.cancel()
         assert forged.alive
         other.kill()
