@@ -363,7 +363,7 @@ def test_it_watches_by_default_robots_that_report_it() -> None:
     assert SpeedScalingInterlock(kind="speed_scaling") in DEFAULTS
     (off,) = interlocks_from_spec([SpeedScalingInterlock(kind="speed_scaling")]).off
     assert off.name == "speed_scaling"
-    assert "does not report" in off.why
+    assert "not reported" in off.why
 
 
 def test_a_lowered_slider_holds_the_run_at_the_next_checkpoint_until_it_is_back() -> None:
