@@ -19,7 +19,7 @@ SPEC_FOLDERS = (Path(), Path("specs"), Path("experiments"))
 
 START = (
     ("hil new dwell", "create a spec for static friction and gravity"),
-    ("hil new fourier", "create a spec with an optimised excitation for the complete dynamics"),
+    ("hil new fourier", "create a spec with periodic trajectories for the complete dynamics"),
     ("hil new --list", "list all other templates"),
 )
 

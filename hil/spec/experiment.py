@@ -323,9 +323,13 @@ def _plugged_excitation(value: Any, validate: ValidatorFunctionWrapHandler) -> A
     if kind in BUILT_IN_EXCITATIONS or kind not in plugins.names("hil.excitations"):
         return validate(value)
     try:
-        model = plugins.load("hil.excitations", kind).Spec
+        model = getattr(plugins.load("hil.excitations", kind), "Spec", None)
     except PluginError as error:
         raise ValueError(f"{error.message} → {error.hint}") from None
+    if not (isinstance(model, type) and issubclass(model, Dwell | Fourier)):
+        raise ValueError(
+            f"the excitation '{kind}' has no `Spec` that derives from hil.spec.Dwell or Fourier"
+        )
     return model.model_validate(value)
 
 

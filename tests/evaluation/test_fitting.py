@@ -11,6 +11,7 @@ import pytest
 import hil
 from hil.arms.payload import Payload, parse_payload
 from hil.core.errors import DataError, FitError, PluginError, SpecError
+from hil.estimators.rigid_linear import RigidWls
 from hil.importers.sources import load_source
 from tests.support.imported_motions import recording
 from tests.support.synthetic_motion import LOAD
@@ -113,6 +114,13 @@ def test_damaged_evaluation_is_refused_rather_than_lost(sources, tmp_path) -> No
     with pytest.raises(DataError, match="is not a valid evaluation"):
         hil.fit(sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path)
     assert (folder / "evaluation.json").read_text() == "[1]"
+
+
+def test_an_estimator_whose_fit_sets_nothing_is_named(sources, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(RigidWls, "fit", lambda self, dataset, robot: self)
+    with pytest.raises(PluginError, match=r"fit\(\) of .*RigidWls.* does not set robot_"):
+        hil.fit(sources[0], estimator="rigid-wls", out=tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_two_individuals_of_a_robot_are_not_pooled(sources, tmp_path) -> None:

@@ -404,6 +404,12 @@ def test_everything_wrong_is_reported_at_once_in_the_order_of_the_file() -> None
     ]
 
 
+def test_a_plug_in_excitation_without_the_model_of_its_section_is_refused() -> None:
+    """The entry points of this file stand for every group."""
+    told = line_of(GOOD.replace("kind: dwell", "kind: at-rest"))
+    assert "the excitation 'at-rest' has no `Spec`" in told
+
+
 def test_only_the_chosen_kind_complains() -> None:
     said = lines_of(GOOD.replace("dwell", "fourier") + "  harmonics: 1\n  waypoints: 3\n")
 
